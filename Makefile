@@ -1,0 +1,54 @@
+# Two commands matter: `make book` and `make test`. `make` alone lists them all.
+PYTHON ?= python3
+PORT ?= 8000
+
+SHELL := bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+BIN := .venv/bin
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+.PHONY: help env book test serve verify bench lock clean
+
+help: ## list these commands
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
+
+env: .venv/installed ## make .venv with everything in environment.lock, and rhl on its path
+
+book: env ## execute and build the book into build/_build/html
+	python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
+
+test: env ## lint, types, library, notebooks, README and the book
+	ruff check
+	ruff format --check
+	mypy
+	pytest -n 2
+
+serve: env ## show the built book on http://localhost:8000 (PORT=... for another port)
+	python -m http.server $(PORT) --bind localhost --directory build/_build/html
+
+verify: env ## both simulations of the paper against its published data
+	rhl reproduce linear
+	rhl reproduce robot
+
+bench: env ## measure how fast the library is
+	pytest benchmarks --benchmark-only
+
+lock: $(BIN)/uv ## resolve pyproject.toml anew into environment.lock
+	$(BIN)/python tools/lock.py $(BIN)/uv
+
+clean: ## remove what was built; .venv stays
+	rm -rf build dist .benchmarks .hypothesis .mypy_cache .pytest_cache .ruff_cache
+
+# uv itself comes out of the lock, hashes required; then uv installs the rest of it.
+$(BIN)/uv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "rhl needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; name another one, as in: make env PYTHON=python3.12")'
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --require-hashes --requirement <(awk '/^[^ ]/ {mine = /^uv==/} mine' environment.lock)
+
+.venv/installed: environment.lock pyproject.toml | $(BIN)/uv
+	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes --no-build environment.lock
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	touch $@

@@ -1,0 +1,119 @@
+"""The book is built anew exactly when something it shows may have changed."""
+
+import sys
+
+import pytest
+
+from tools import fresh
+
+FILES = {
+    "rhl/model.py": "A = 1\n",
+    "rhl/data/y.csv": "0,1\n",
+    "rhl/__pycache__/model.pyc": "compiled",
+    "environment.lock": "numpy==2\n",
+    "_config.yml": "title: book\n",
+    "_toc.yml": "root: book/index\n",
+    "book/index.md": "# Book\n",
+    "notebooks/01.ipynb": "{}",
+    "README.md": "read me\n",
+}
+SUCCEED = [sys.executable, "-c", ""]
+FAIL = [sys.executable, "-c", "raise SystemExit(3)"]
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A small project whose book has just been built with success."""
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    build(tmp_path)
+    return tmp_path
+
+
+def build(root, command=SUCCEED):
+    """A build that leaves the three folders that the real one leaves."""
+    status = fresh.main(command, root)
+    for folder in (".jupyter_cache", ".doctrees", "html"):
+        (root / fresh.BUILT / folder).mkdir(parents=True, exist_ok=True)
+    return status
+
+
+def kept(root):
+    """What the next build would find of the last one."""
+    fresh.drop_stale(root)
+    built = root / fresh.BUILT
+    return {path.name for path in built.iterdir()} if built.exists() else set()
+
+
+EVERYTHING = {".jupyter_cache", ".doctrees", "html"}
+OUTPUTS = {".jupyter_cache"}
+NOTHING = set()
+
+
+def test_nothing_changed(root):
+    assert kept(root) == EVERYTHING
+
+
+@pytest.mark.parametrize("name", ["rhl/model.py", "rhl/data/y.csv", "environment.lock", "_config.yml"])
+def test_changed_byte_below_the_outputs(root, name):
+    text = (root / name).read_text()
+    (root / name).write_text(text.replace(text[0], "~", 1))
+    assert kept(root) == NOTHING
+
+
+@pytest.mark.parametrize("name", ["_toc.yml", "book/index.md", "notebooks/01.ipynb"])
+def test_changed_byte_in_a_page(root, name):
+    text = (root / name).read_text()
+    (root / name).write_text(text.replace(text[0], "~", 1))
+    assert kept(root) == OUTPUTS
+
+
+@pytest.mark.parametrize("name", ["rhl/__pycache__/model.pyc", "README.md"])
+def test_changed_byte_elsewhere(root, name):
+    (root / name).write_text("other")
+    assert kept(root) == EVERYTHING
+
+
+def test_deleted_file(root):
+    (root / "rhl/data/y.csv").unlink()
+    assert kept(root) == NOTHING
+
+
+def test_renamed_file(root):
+    (root / "rhl/model.py").rename(root / "rhl/models.py")
+    assert kept(root) == NOTHING
+
+
+def test_bytes_moved_between_files(root):
+    (root / "rhl/model.py").write_text("")
+    (root / "rhl/a.py").write_text(FILES["rhl/model.py"])
+    assert kept(root) == NOTHING
+
+
+def test_change_undone(root):
+    (root / "rhl/model.py").write_text("A = 2\n")
+    build(root)
+    (root / "rhl/model.py").write_text(FILES["rhl/model.py"])
+    assert kept(root) == NOTHING
+
+
+def test_failed_build_keeps_no_pages(root):
+    assert build(root, FAIL) == 3
+    assert kept(root) == OUTPUTS
+
+
+def test_build_that_was_cut_off_keeps_no_pages(root):
+    fresh.drop_stale(root)
+    assert kept(root) == OUTPUTS
+
+
+@pytest.mark.parametrize("text", ["", "no json", "[]"])
+def test_illegible_record(root, text):
+    (root / fresh.RECORD).write_text(text)
+    assert kept(root) == NOTHING
+
+
+def test_command_runs_in_root(root):
+    assert fresh.main([sys.executable, "-c", "open('was-here', 'w').close()"], root) == 0
+    assert (root / "was-here").exists()

@@ -1,0 +1,81 @@
+"""Run the book's builder so that it never shows what an older library or an older page made.
+
+The book keeps two memories: jupyter-cache (outputs of notebooks) and Sphinx's doctrees (pages). Neither sees a change
+in `rhl/`; pages do not see that a number glued from another page has changed; and doctrees kept from a build that
+failed hide its warnings from the next one. So outputs and pages are each kept only while what they depend on is
+unchanged, and pages only after a build that succeeded.
+
+    python tools/fresh.py jupyter-book build ...
+"""
+
+import hashlib
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+OUTPUTS_NEED = ("rhl", "environment.lock", "_config.yml")
+PAGES_NEED = ("_toc.yml", "book", "notebooks")
+BUILT = "build/_build"
+RECORD = "build/fresh.json"
+
+
+def digest(root: Path, names: Iterable[str]) -> str:
+    """Sha256 over the names and bytes of all files that `names` (files or folders below `root`) hold."""
+    sha = hashlib.sha256()
+    for name in names:
+        found = [root / name] if (root / name).is_file() else (root / name).rglob("*")
+        files = {path.relative_to(root).as_posix(): path for path in found if path.is_file()}
+        for where, path in sorted(files.items()):
+            if "__pycache__" not in path.parts:
+                content = path.read_bytes()
+                sha.update(f"{where}\0{len(content)}\0".encode() + content)
+    return sha.hexdigest()
+
+
+def read_record(root: Path) -> dict[str, str]:
+    """What the last build noted about itself; empty if there is nothing legible."""
+    try:
+        record = json.loads((root / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def write_record(root: Path, record: dict[str, str]) -> None:
+    """Note what the outputs, and after a success the pages, were made from."""
+    (root / RECORD).parent.mkdir(parents=True, exist_ok=True)
+    (root / RECORD).write_text(json.dumps(record), encoding="utf-8")
+
+
+def drop_stale(root: Path) -> tuple[str, dict[str, str]]:
+    """Remove what must not be reused; returns what was kept, in words, and the record to write after a success."""
+    now = {"outputs": digest(root, OUTPUTS_NEED), "pages": digest(root, PAGES_NEED)}
+    last = read_record(root)
+    if last.get("outputs") != now["outputs"]:
+        stale, kept = [root / BUILT], "nothing"
+    elif last.get("pages") != now["pages"]:
+        stale, kept = [root / BUILT / ".doctrees", root / BUILT / "html"], "outputs of notebooks"
+    else:
+        stale, kept = [], "everything"
+    for folder in stale:
+        if folder.exists():
+            shutil.rmtree(folder)
+    write_record(root, {"outputs": now["outputs"]})
+    return kept, now
+
+
+def main(command: Sequence[str], root: Path) -> int:
+    """Drop what is stale, run `command` in `root` and remember whether it succeeded; returns its exit status."""
+    kept, record = drop_stale(root)
+    print(f"kept from the last build: {kept}", flush=True)
+    status = subprocess.run(command, cwd=root, check=False).returncode
+    if status == 0:
+        write_record(root, record)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:], Path(__file__).resolve().parent.parent))
