@@ -1,0 +1,3 @@
+"""Receding horizon learning: the executable companion of Ebenbauer, Pfitz and Yu, arXiv 2010.05891."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,167 @@
+"""The one place that checks what callers pass and words the errors.
+
+Every message is one sentence that names the offender, what was expected and what was found.
+"""
+
+from __future__ import annotations
+
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+# A matrix read from text keeps 15 digits or more; an asymmetry above this is meant, not rounding.
+_SYMMETRY_RTOL = 1e-12
+
+
+class InputError(ValueError):
+    """A value passed by the caller does not fit; the message says what was expected and found."""
+
+
+class NotFiniteError(InputError):
+    """A value is NaN or infinite."""
+
+
+def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None = None) -> Array:
+    """Copy to a read-only float64 array and check finiteness and trailing shape.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls the value; used in messages.
+    value : array_like
+        Real numbers, rectangular.
+    shape : tuple of int or None, optional
+        Trailing axes; None stands for any length of at least one. Further axes may lead.
+
+    Returns
+    -------
+    array of float64, read-only
+
+    Raises
+    ------
+    InputError
+        If the value is ragged, not real, not finite (NotFiniteError), or of another shape.
+    """
+    try:
+        raw = np.asarray(value)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{name} must be a rectangular array of numbers, got {describe(value)}") from error
+    if raw.dtype.kind not in "iuf":
+        raise InputError(f"{name} must hold real numbers, got {_kind(raw, value)}")
+    array = np.array(raw, dtype=np.float64, order="C")
+    if shape is not None:
+        fits = array.ndim >= len(shape) and all(
+            length >= 1 and want in (None, length)
+            for length, want in zip(array.shape[array.ndim - len(shape) :], shape, strict=True)
+        )
+        if not fits:
+            raise InputError(f"{name} must have shape {_shape(shape)}, got {_shape(array.shape)}")
+    if not np.all(np.isfinite(array)):
+        raise NotFiniteError(f"{name} must be finite, got {array[~np.isfinite(array)][0]} among its entries")
+    array.flags.writeable = False
+    return array
+
+
+def read_only(array: ArrayLike) -> Array:
+    """Copy to a read-only float64 array, unchecked: for what the library itself has computed."""
+    copy = np.array(array, dtype=np.float64)
+    copy.flags.writeable = False
+    return copy
+
+
+def square(name: str, value: ArrayLike) -> Array:
+    """Check a square matrix, shape (..., n, n)."""
+    array = real_array(name, value, (None, None))
+    if array.shape[-1] != array.shape[-2]:
+        raise InputError(f"{name} must be square, got shape {_shape(array.shape)}")
+    return array
+
+
+def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
+    """Check a symmetric positive definite weight; a number means that number times the identity.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls the weight.
+    value : float or array_like, shape (..., n, n)
+        The weight.
+    n : int
+        Its order.
+
+    Returns
+    -------
+    array, shape (..., n, n)
+        Symmetrised exactly.
+
+    Raises
+    ------
+    InputError
+        If the shape is another, or the matrix is not symmetric, or not positive definite.
+    """
+    array = real_array(name, value)
+    if array.ndim == 0:
+        array = array * np.eye(n)
+    if array.ndim < 2 or array.shape[-2:] != (n, n):
+        raise InputError(f"{name} must be a number or a matrix of shape ({n}, {n}), got shape {_shape(array.shape)}")
+    transposed = array.swapaxes(-1, -2)
+    gap = np.max(np.abs(array - transposed))
+    if gap > _SYMMETRY_RTOL * np.max(np.abs(array)):
+        raise InputError(f"{name} must be symmetric, got entries that differ from their mirror by {gap:.3g}")
+    array = (array + transposed) / 2
+    try:
+        np.linalg.cholesky(array)
+    except np.linalg.LinAlgError:
+        least = np.min(np.linalg.eigvalsh(array))
+        raise InputError(f"{name} must be positive definite, got smallest eigenvalue {least:.3g}") from None
+    array.flags.writeable = False
+    return array
+
+
+def integer(name: str, value: Any, minimum: int) -> int:
+    """Check a whole number of at least ``minimum``."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
+        raise InputError(f"{name} must be a whole number of at least {minimum}, got {describe(value)}")
+    return int(value)
+
+
+def positive(name: str, value: Any) -> float:
+    """Check a positive finite number."""
+    return _in_range(name, value, 0.0, np.inf, "a positive finite number", open_low=True)
+
+
+def nonnegative(name: str, value: Any) -> float:
+    """Check a nonnegative finite number."""
+    return _in_range(name, value, 0.0, np.inf, "a nonnegative finite number", open_low=False)
+
+
+def fraction(name: str, value: Any) -> float:
+    """Check a number in [0, 1)."""
+    return _in_range(name, value, 0.0, 1.0, "a number in [0, 1)", open_low=False)
+
+
+def _in_range(name: str, value: Any, low: float, high: float, wanted: str, *, open_low: bool) -> float:
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    # NaN fails every comparison, so it is refused by the same line.
+    if not number or not ((low < value if open_low else low <= value) and value < high):
+        raise InputError(f"{name} must be {wanted}, got {describe(value)}")
+    return float(value)
+
+
+def _shape(shape: tuple[int | None, ...]) -> str:
+    inner = ", ".join("at least 1" if length is None else str(length) for length in shape)
+    return f"({inner},)" if len(shape) == 1 else f"({inner})"
+
+
+def _kind(raw: NDArray[Any], value: Any) -> str:
+    return "complex numbers" if raw.dtype.kind == "c" else describe(value)
+
+
+def describe(value: Any) -> str:
+    """Return a value on one line of at most 60 characters, for a message."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 60 else f"{text[:57]}..."

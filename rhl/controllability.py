@@ -1,0 +1,149 @@
+"""Controllability margins and Lemma 5's search for a mixing weight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from rhl._checks import Array, InputError, fraction, integer, positive
+from rhl.model import SignalModel
+
+Augment = Callable[[SignalModel], SignalModel]
+
+
+class LostControllability(ArithmeticError):
+    """No candidate lambda keeps the mixed pair controllable by the asked margin."""
+
+
+def controllability_matrix(model: SignalModel) -> Array:
+    """Return [B, AB, ..., A^(n-1) B], shape (..., n, n q), as in the proof of Lemma 5."""
+    blocks = [model.B]
+    for _ in range(model.n - 1):
+        blocks.append(model.A @ blocks[-1])
+    return np.concatenate(blocks, axis=-1)
+
+
+def margin(model: SignalModel) -> Array:
+    """Return the smallest singular value of the controllability matrix, shape (...); zero if not controllable."""
+    return np.asarray(np.linalg.svd(controllability_matrix(model), compute_uv=False)[..., -1])
+
+
+class Mixing(Protocol):
+    """Chooses lambda_k of equation (15)."""
+
+    def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
+        """Return lambda in [0, 1), shape (...), for (1 - lambda) estimate + lambda previous."""
+
+
+@dataclass(frozen=True)
+class ConstantMixing:
+    """The same lambda at every step; 0 is no mixing.
+
+    Parameters
+    ----------
+    lam : float
+        In [0, 1).
+
+    Raises
+    ------
+    InputError
+        If lam is outside [0, 1).
+    """
+
+    lam: float = 0.0
+
+    def __post_init__(self) -> None:
+        fraction("lam", self.lam)
+
+    def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
+        """Return the constant, one for each member of the batch."""
+        return np.full(estimate.A.shape[:-2], float(self.lam))
+
+
+def candidates(n: int, lambda_max: float) -> Array:
+    """Return 2 n^2 + 1 equidistant weights in (0, lambda_max), shape (2 n^2 + 1,), Lemma 5."""
+    count = 2 * integer("n", n, 1) ** 2 + 1
+    return lambda_max * np.arange(1, count + 1) / (count + 1)
+
+
+@dataclass(frozen=True)
+class LambdaSearch:
+    r"""Lemma 5's search: mix only where the estimate has lost controllability.
+
+    If the estimate's margin reaches ``least_margin``, lambda is 0. Otherwise the :math:`2n^2+1` candidates in
+    :math:`(0, \lambda_{max})` are tried; the lemma says that at least one gives a controllable pair, because
+    :math:`\det(C C^\top)` is a polynomial of degree at most :math:`2n^2` in lambda.
+
+    Parameters
+    ----------
+    pair : {"lifted", "augmented"}
+        Whose controllability is kept: the lifted pair, as in Theorem 2(iii), or Remark 4's augmented pair, which is
+        the one that the controller uses. The first does not give the second.
+    rule : {"first", "best"}
+        Take the first candidate that reaches the margin (the paper's), or the one with the largest margin.
+    lambda_max : float
+        In (0, 1).
+    least_margin : float
+        What counts as controllable in floating point: the smallest singular value of the controllability matrix.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+
+    Notes
+    -----
+    Source: Lemma 5 (the project's brief calls it Lemma 4) and Theorem 2(iii).
+    """
+
+    pair: Literal["lifted", "augmented"] = "augmented"
+    rule: Literal["first", "best"] = "best"
+    lambda_max: float = 0.9
+    least_margin: float = 1e-9
+
+    def __post_init__(self) -> None:
+        for name, options in (("pair", ("lifted", "augmented")), ("rule", ("first", "best"))):
+            if getattr(self, name) not in options:
+                raise InputError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
+        positive("lambda_max", self.lambda_max)
+        fraction("lambda_max", self.lambda_max)
+        positive("least_margin", self.least_margin)
+
+    def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
+        """Search lambda for every member of the batch.
+
+        Parameters
+        ----------
+        estimate : SignalModel
+            theta*(k), perhaps not controllable.
+        previous : SignalModel
+            theta~(k-1), controllable.
+        augment : callable
+            Remark 4's augmentation; called where ``pair`` is "augmented".
+
+        Returns
+        -------
+        array, shape (...)
+
+        Raises
+        ------
+        LostControllability
+            If no candidate reaches the margin.
+        """
+        view: Augment = augment if self.pair == "augmented" else lambda model: model
+        lam = np.concatenate([[0.0], candidates(view(estimate).n, self.lambda_max)])
+        stacked = [SignalModel(M.A[..., None, :, :], M.B[..., None, :, :]) for M in (estimate, previous)]
+        margins = margin(view(stacked[0].mix(stacked[1], lam)))
+        enough = margins >= self.least_margin
+        if not np.all(np.any(enough, axis=-1)):
+            raise LostControllability(
+                f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
+                f"{self.least_margin:g} (largest found {np.min(np.max(margins, axis=-1)):.3g}); "
+                "widen lambda_max, lower least_margin, or start from a model that is better controllable"
+            )
+        first = np.argmax(enough, axis=-1)
+        chosen = first if self.rule == "first" else np.where(enough[..., 0], 0, np.argmax(margins, axis=-1))
+        return np.asarray(lam[chosen])

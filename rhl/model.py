@@ -1,0 +1,257 @@
+"""Signal models x(k+1) = A x(k) + B u(k), their parameter vector and their predictor maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, InputError, integer, real_array, square
+
+InputMatrix = Literal["last-row-of-ones", "eye-last-row-of-ones"]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictorMaps:
+    r"""Linear predictor maps of general form, equation (5).
+
+    .. math:: P_i(x_0, u_0, \dots, u_{i-1}) = A_i x_0 + \sum_{l=0}^{i-1} B_{i-1-l} u_l
+
+    Parameters
+    ----------
+    A : array_like, shape (..., N+1, n, n)
+        The maps :math:`A_0 = I, A_1, \dots, A_N`.
+    B : array_like, shape (..., N, n, q)
+        The maps :math:`B_0, \dots, B_{N-1}`.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together or :math:`A_0` is not the identity.
+
+    Notes
+    -----
+    Source: equation (5), Assumption 4(a). They need not be powers of one matrix.
+    """
+
+    A: Array
+    B: Array
+
+    def __post_init__(self) -> None:
+        A = real_array("A", self.A, (None, None, None))
+        n, count = A.shape[-1], A.shape[-3]
+        if A.shape[-2] != n or count < 2:
+            raise InputError(f"A must have shape (N+1, n, n) with N at least 1, got {A.shape}")
+        B = real_array("B", self.B, (count - 1, n, None))
+        _common_batch(A, B, core=3)
+        if not np.array_equal(A[..., 0, :, :], np.broadcast_to(np.eye(n), (*A.shape[:-3], n, n))):
+            raise InputError("A[0] must be the identity, for a prediction over no step is the state itself")
+        object.__setattr__(self, "A", A)
+        object.__setattr__(self, "B", B)
+
+    @property
+    def n(self) -> int:
+        """Size of the signal x."""
+        return int(self.A.shape[-1])
+
+    @property
+    def q(self) -> int:
+        """Size of the input u."""
+        return int(self.B.shape[-1])
+
+    @property
+    def horizon(self) -> int:
+        """The furthest step N that the maps predict."""
+        return int(self.B.shape[-3])
+
+    def predict(self, x0: ArrayLike, u: ArrayLike) -> Array:
+        r"""Predict :math:`x_0, x_1, \dots, x_N` by equation (5).
+
+        Parameters
+        ----------
+        x0 : array_like, shape (..., n)
+            Present signal.
+        u : array_like, shape (..., N, q)
+            Inputs to come.
+
+        Returns
+        -------
+        array, shape (..., N+1, n)
+        """
+        x0 = real_array("x0", x0, (self.n,))
+        u = real_array("u", u, (self.horizon, self.q))
+        free = np.einsum("...iab,...b->...ia", self.A, x0)
+        forced = [np.zeros_like(free[..., 0, :])]
+        for i in range(1, self.horizon + 1):
+            forced.append(np.einsum("...lab,...lb->...a", self.B[..., i - 1 :: -1, :, :], u[..., :i, :]))
+        return free + np.stack(np.broadcast_arrays(*forced), axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class SignalModel:
+    r"""The signal model :math:`x(k+1) = A x(k) + B u(k)`, equation (18).
+
+    Parameters
+    ----------
+    A : array_like, shape (..., n, n)
+        Signal matrix.
+    B : array_like, shape (..., n, q)
+        Input matrix.
+
+    Raises
+    ------
+    InputError
+        If A is not square, B does not fit, or an entry is not finite.
+
+    Notes
+    -----
+    Source: Assumption 7, equation (18). It reproduces one trajectory and need not be a model of the plant (Remark 3).
+
+    Examples
+    --------
+    >>> model = SignalModel([[0.0, 1.0], [1.0, 1.0]], [[0.0], [1.0]])
+    >>> model.theta
+    array([0., 1., 1., 1., 0., 1.])
+    """
+
+    A: Array
+    B: Array
+
+    def __post_init__(self) -> None:
+        A = square("A", self.A)
+        B = real_array("B", self.B, (A.shape[-1], None))
+        lead = _common_batch(A, B, core=2)
+        object.__setattr__(self, "A", np.broadcast_to(A, (*lead, *A.shape[-2:])))
+        object.__setattr__(self, "B", np.broadcast_to(B, (*lead, *B.shape[-2:])))
+
+    @property
+    def n(self) -> int:
+        """Size of the signal x."""
+        return int(self.A.shape[-1])
+
+    @property
+    def q(self) -> int:
+        """Size of the input u."""
+        return int(self.B.shape[-1])
+
+    @property
+    def theta(self) -> Array:
+        """The parameter vector [vec(A); vec(B)], column by column, shape (..., n(n+q)) (Remark 2)."""
+        return np.concatenate([M.swapaxes(-1, -2).reshape(*M.shape[:-2], -1) for M in (self.A, self.B)], axis=-1)
+
+    @classmethod
+    def from_theta(cls, theta: ArrayLike, n: int, q: int) -> SignalModel:
+        """Unpack theta = [vec(A); vec(B)] (Theorem 2(ii)).
+
+        Parameters
+        ----------
+        theta : array_like, shape (..., n(n+q))
+            Parameter vector.
+        n, q : int
+            Sizes of signal and input.
+
+        Returns
+        -------
+        SignalModel
+
+        Raises
+        ------
+        InputError
+            If theta does not have n(n+q) entries.
+        """
+        n, q = integer("n", n, 1), integer("q", q, 1)
+        theta = real_array("theta", theta, (n * (n + q),))
+        lead = theta.shape[:-1]
+        A = theta[..., : n * n].reshape(*lead, n, n).swapaxes(-1, -2)
+        B = theta[..., n * n :].reshape(*lead, q, n).swapaxes(-1, -2)
+        return cls(A, B)
+
+    @classmethod
+    def companion_of_ones(cls, n: int, q: int, inputs: InputMatrix = "last-row-of-ones") -> SignalModel:
+        """Build the controllable initial model behind the paper's data.
+
+        A(0) has ones on the first superdiagonal and a last row of ones.
+
+        Parameters
+        ----------
+        n, q : int
+            Sizes of signal and input.
+        inputs : {"last-row-of-ones", "eye-last-row-of-ones"}
+            B(0): zero but for a last row of ones (linear example), or the first q columns of the
+            identity with their last row set to ones (robot arm).
+
+        Returns
+        -------
+        SignalModel
+
+        Notes
+        -----
+        The paper only says "a controllable signal model" (Section V); these are this project's observation,
+        checked by reproducing the published curves.
+        """
+        n, q = integer("n", n, 1), integer("q", q, 1)
+        if inputs not in get_args(InputMatrix):
+            raise InputError(f"inputs must be one of {', '.join(get_args(InputMatrix))}, got {inputs!r}")
+        A = np.eye(n, k=1)
+        A[-1] = 1.0
+        B = np.zeros((n, q)) if inputs == "last-row-of-ones" else np.eye(n, q)
+        B[-1] = 1.0
+        return cls(A, B)
+
+    def step(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Return A x + B u, shape (..., n), equation (18)."""
+        x = real_array("x", x, (self.n,))
+        u = real_array("u", u, (self.q,))
+        return np.einsum("...ab,...b->...a", self.A, x) + np.einsum("...ab,...b->...a", self.B, u)
+
+    def predictor(self, horizon: int) -> PredictorMaps:
+        r"""Return the predictor maps :math:`A_i = A^i`, :math:`B_i = A^i B`, equation (21).
+
+        Parameters
+        ----------
+        horizon : int
+            N, at least 1.
+
+        Returns
+        -------
+        PredictorMaps
+
+        Raises
+        ------
+        InputError
+            If the horizon is below 1, or a power of A leaves the range of float64.
+        """
+        horizon = integer("horizon", horizon, 1)
+        powers = [np.broadcast_to(np.eye(self.n), self.A.shape)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(horizon):
+                powers.append(self.A @ powers[-1])
+            A = np.stack(powers, axis=-3)
+            return PredictorMaps(A, A[..., :-1, :, :] @ self.B[..., None, :, :])
+
+    def mix(self, other: SignalModel, lam: ArrayLike) -> SignalModel:
+        """Return (1 - lam) * self + lam * other, the convex combination of equation (15) and Lemma 5.
+
+        Parameters
+        ----------
+        other : SignalModel
+            The model mixed in, of the same sizes.
+        lam : array_like, shape (...)
+            The share of ``other``, in [0, 1].
+
+        Returns
+        -------
+        SignalModel
+        """
+        share = np.asarray(lam, dtype=np.float64)[..., None, None]
+        return SignalModel((1 - share) * self.A + share * other.A, (1 - share) * self.B + share * other.B)
+
+
+def _common_batch(*arrays: Array, core: int) -> tuple[int, ...]:
+    try:
+        return np.broadcast_shapes(*(M.shape[: M.ndim - core] for M in arrays))
+    except ValueError:
+        shapes = " and ".join(str(M.shape) for M in arrays)
+        raise InputError(f"leading batch axes must broadcast together, got shapes {shapes}") from None

@@ -1,0 +1,203 @@
+"""Margins against exact rational arithmetic, and Lemma 5's search on pairs made to defeat it."""
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from rhl._checks import InputError
+from rhl.controllability import (
+    ConstantMixing,
+    LambdaSearch,
+    LostControllability,
+    candidates,
+    controllability_matrix,
+    margin,
+)
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+
+SEED = 2010_05891
+# Entries of the controllability matrices here are whole numbers below 1e3, exact in float64; the singular values
+# then carry rounding of the largest, 1e-16 times 1e3.
+ROUNDING = 1e-11
+
+
+def identity(model):
+    return model
+
+
+def whole(low, high):
+    return st.integers(low, high).map(float)
+
+
+@st.composite
+def pairs(draw):
+    n, q = draw(st.integers(1, 3)), draw(st.integers(1, 2))
+    A = draw(st_numpy.arrays(np.float64, (n, n), elements=whole(-2, 2)))
+    return A, draw(st_numpy.arrays(np.float64, (n, q), elements=whole(-2, 2)))
+
+
+@settings(max_examples=60)
+@given(pairs())
+def test_margin_is_exact(pair):
+    A, B = pair
+    exact_A, exact_B = (sympy.Matrix(M.astype(int).tolist()) for M in pair)
+    C = sympy.Matrix.hstack(*(exact_A**i * exact_B for i in range(len(A))))
+    found = margin(SignalModel(A, B))
+    assert np.array_equal(controllability_matrix(SignalModel(A, B)), np.array(C.tolist(), dtype=float))
+    if C.rank() < len(A):
+        assert found < ROUNDING
+    else:
+        squares = sympy.Poly((C * C.T).charpoly().as_expr()).sqf_part().nroots(n=40, maxsteps=500)
+        assert found == pytest.approx(float(sympy.sqrt(min(sympy.re(root) for root in squares))), abs=ROUNDING)
+        assert found > ROUNDING
+
+
+def test_margins_of_a_batch():
+    rng = np.random.default_rng(SEED)
+    A, B = rng.standard_normal((4, 5, 3, 3)), rng.standard_normal((4, 5, 3, 2))
+    together = margin(SignalModel(A, B))
+    assert together.shape == (4, 5)
+    for index in np.ndindex(4, 5):
+        assert together[index] == pytest.approx(margin(SignalModel(A[index], B[index])), abs=ROUNDING)
+
+
+# Finding of this project: y(k+1) = a y(k) + b v(k) - a b v(k-1) is controllable as a lifted pair only.
+LIFTING = DelayLifting(outputs=1, inputs=2)
+ONLY_LIFTED = SignalModel([[0.5]], [[2.0, -1.0]])
+BOTH = SignalModel([[0.5]], [[2.0, 1.0]])
+
+
+def test_lifted_pair_does_not_give_the_augmented_pair():
+    assert margin(ONLY_LIFTED) > 1
+    assert margin(LIFTING.augment(ONLY_LIFTED)) < ROUNDING
+    assert margin(LIFTING.augment(BOTH)) > 0.1
+    exact = sympy.Matrix([[sympy.Rational(1, 2), -1], [0, 0]])
+    b = sympy.Matrix([2, 1])
+    assert sympy.Matrix.hstack(b, exact * b).det() == 0
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+@pytest.mark.parametrize("pair", ["lifted", "augmented"])
+def test_search_keeps_the_pair_it_is_asked_for(pair, rule):
+    search = LambdaSearch(pair=pair, rule=rule)
+    lam = search.choose(ONLY_LIFTED, BOTH, LIFTING.augment)
+    mixed = ONLY_LIFTED.mix(BOTH, lam)
+    if pair == "lifted":
+        assert lam == 0
+        assert margin(LIFTING.augment(mixed)) < ROUNDING
+    else:
+        assert 0 < lam < 0.9
+        assert margin(LIFTING.augment(mixed)) >= search.least_margin
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+def test_controllable_estimate_is_left_alone(rule):
+    assert LambdaSearch(rule=rule).choose(BOTH, ONLY_LIFTED, LIFTING.augment) == 0
+
+
+def test_rules_differ():
+    # The margin is lam, so the first candidate is the smallest and the best the largest.
+    lost, good = SignalModel([[0.0]], [[0.0]]), SignalModel([[0.0]], [[1.0]])
+    weights = candidates(1, 0.9)
+    assert LambdaSearch("lifted", "first").choose(lost, good, identity) == weights[0]
+    assert LambdaSearch("lifted", "best").choose(lost, good, identity) == weights[-1]
+
+
+@pytest.mark.parametrize("n", [1, 2, 7])
+def test_candidates(n):
+    weights = candidates(n, 0.9)
+    assert len(weights) == 2 * n**2 + 1
+    assert weights[0] > 0
+    assert weights[-1] < 0.9
+    np.testing.assert_allclose(np.diff(weights), weights[0], rtol=ROUNDING)
+
+
+def chain(links):
+    """A chain of integrators, controllable from its first link exactly if no link is zero."""
+    return SignalModel(np.diag(links, k=-1), np.eye(len(links) + 1, 1))
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_roots_on_the_first_candidates(count):
+    """The mixture is lost at lambda = 0 and on the first candidates, and nowhere else; the search passes over them."""
+    weights = candidates(count + 2, 0.9)
+    # Mixed by lambda, the links are 1 - lambda / root and, for the last, lambda.
+    estimate = chain([*np.ones(count), 0.0])
+    previous = chain([*(1 - 1 / weights[:count]), 1.0])
+    margins = margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
+    assert np.max(margins[:count]) < ROUNDING
+    assert margin(estimate) == 0
+    least = margins[count]
+    assert least > 1e-6
+    first = LambdaSearch("lifted", "first", least_margin=least).choose(estimate, previous, identity)
+    assert first == weights[count]
+    best = LambdaSearch("lifted", "best", least_margin=least).choose(estimate, previous, identity)
+    assert best == weights[np.argmax(margins)] != first
+    with pytest.raises(LostControllability):
+        LambdaSearch("lifted", least_margin=2 * np.max(margins)).choose(estimate, previous, identity)
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+@pytest.mark.parametrize("pair", ["lifted", "augmented"])
+def test_search_that_finds_nothing_says_so(pair, rule):
+    zero = SignalModel([[0.0]], [[0.0, 0.0]])
+    with pytest.raises(
+        LostControllability, match=rf"no lambda in \(0, 0\.9\) keeps the {pair} pair's margin above 1e-09"
+    ):
+        LambdaSearch(pair, rule).choose(zero, zero, LIFTING.augment)
+
+
+def test_message_tells_the_largest_margin_found():
+    lost, weak = SignalModel([[0.0]], [[0.0]]), SignalModel([[0.0]], [[1e-3]])
+    with pytest.raises(LostControllability, match=r"above 0\.5 \(largest found 0\.000675\); widen lambda_max, lower"):
+        LambdaSearch("lifted", least_margin=0.5).choose(lost, weak, identity)
+
+
+def test_one_lost_member_of_a_batch_is_enough_to_fail():
+    batch = SignalModel(np.zeros((2, 1, 1)), np.array([[[1.0]], [[0.0]]]))
+    with pytest.raises(LostControllability):
+        LambdaSearch("lifted").choose(batch, batch, identity)
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+def test_batches_agree_with_members(rule):
+    rng = np.random.default_rng(SEED)
+    A, B = rng.standard_normal((6, 2, 2)), rng.standard_normal((6, 2, 1))
+    A[::2, 1, 0] = B[::2, 1] = 0.0
+    estimates = SignalModel(A, B)
+    previous = SignalModel(rng.standard_normal((6, 2, 2)), rng.standard_normal((6, 2, 1)))
+    search = LambdaSearch("lifted", rule)
+    together = search.choose(estimates, previous, identity)
+    assert np.all(together[::2] > 0)
+    assert not np.any(together[1::2])
+    for i in range(6):
+        alone = search.choose(SignalModel(A[i], B[i]), SignalModel(previous.A[i], previous.B[i]), identity)
+        assert together[i] == alone
+
+
+def test_constant_mixing():
+    batch = SignalModel(np.zeros((4, 1, 1)), np.zeros((4, 1, 1)))
+    assert np.array_equal(ConstantMixing(0.5).choose(batch, batch, identity), np.full(4, 0.5))
+    assert ConstantMixing().choose(BOTH, BOTH, identity) == 0
+
+
+@pytest.mark.parametrize(
+    ("build", "sentence"),
+    [
+        (lambda: ConstantMixing(1.0), r"lam must be a number in \[0, 1\), got 1\.0"),
+        (lambda: ConstantMixing(-0.1), r"lam must be a number in \[0, 1\), got -0\.1"),
+        (lambda: LambdaSearch(pair="both"), "pair must be one of lifted, augmented, got 'both'"),
+        (lambda: LambdaSearch(rule="last"), "rule must be one of first, best, got 'last'"),
+        (lambda: LambdaSearch(lambda_max=1.0), r"lambda_max must be a number in \[0, 1\), got 1\.0"),
+        (lambda: LambdaSearch(lambda_max=0.0), r"lambda_max must be a positive finite number, got 0\.0"),
+        (lambda: LambdaSearch(least_margin=0), "least_margin must be a positive finite number, got 0"),
+        (lambda: candidates(0, 0.9), "n must be a whole number of at least 1, got 0"),
+    ],
+)
+def test_refused(build, sentence):
+    with pytest.raises(InputError, match=sentence):
+        build()
