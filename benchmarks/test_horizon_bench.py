@@ -1,0 +1,87 @@
+"""How fast the horizon solver is, one problem at a time and many at once; groups are to be compared side by side."""
+
+import numpy as np
+import pytest
+
+from rhl.controllability import LambdaSearch
+from rhl.horizon import V1, V2, V3, solve
+from rhl.model import SignalModel
+from rhl.published import linear_example, robot_arm
+from rhl.trace import simulate
+
+SEED = 2010_05891
+BATCH = 200
+SIZES = {"n, q, N": (7, 1, 20)}
+
+
+@pytest.fixture(scope="module")
+def case():
+    """Two hundred models of the linear example's size, with their states."""
+    n, q, N = SIZES["n, q, N"]
+    rng = np.random.default_rng(SEED)
+    A = rng.standard_normal((BATCH, n, n))
+    A /= np.max(np.abs(np.linalg.eigvals(A)), axis=-1)[:, None, None]
+    return SignalModel(A, rng.standard_normal((BATCH, n, q))), rng.standard_normal((BATCH, n)), N
+
+
+def problem(kind, model, N):
+    if kind is V1:
+        return V1(model, 1.0, 1.0, 1.0, 1e3, N)
+    return V2(model, 1.0, N) if kind is V2 else V3(model, 1.0, 1.0, np.zeros(model.n), N)
+
+
+@pytest.mark.parametrize("kind", [V1, V2, V3])
+def test_one_batch(benchmark, kind, case):
+    model, x, N = case
+    benchmark.group = f"{BATCH} problems {kind.__name__}"
+    plans = benchmark(lambda: solve(problem(kind, model, N), x))
+    assert plans.u.shape == (BATCH, N, 1)
+
+
+@pytest.mark.parametrize("kind", [V1, V2, V3])
+def test_one_after_the_other(benchmark, kind, case):
+    model, x, N = case
+    benchmark.group = f"{BATCH} problems {kind.__name__}"
+    members = [problem(kind, SignalModel(model.A[i], model.B[i]), N) for i in range(BATCH)]
+    plans = benchmark.pedantic(lambda: [solve(member, x[i]) for i, member in enumerate(members)], rounds=3)
+    assert len(plans) == BATCH
+
+
+@pytest.mark.parametrize("form", ["model", "maps"])
+def test_signal_model_or_predictor_maps(benchmark, form, case):
+    model, x, N = case
+    benchmark.group = "one V1, as a signal model or as general maps"
+    one = SignalModel(model.A[0], model.B[0])
+    posed = problem(V1, one if form == "model" else one.predictor(N), N)
+    assert benchmark(lambda: solve(posed, x[0])).u.shape == (N, 1)
+
+
+@pytest.mark.parametrize("example", [linear_example, robot_arm])
+def test_published_run(benchmark, example):
+    benchmark.group = "the paper's runs"
+    made = example()
+    assert len(benchmark(made.run)) == made.steps
+
+
+@pytest.mark.parametrize("how", ["batch", "loop"])
+def test_many_loops(benchmark, how):
+    benchmark.group = "20 closed loops of 20 steps"
+    made = linear_example()
+    starts = made.z0 * np.linspace(0.5, 1.5, 20)[:, None]
+
+    def together():
+        return simulate(made.scheme, made.plant, starts, 20).v.swapaxes(0, 1)
+
+    def alone():
+        return np.stack([simulate(made.scheme, made.plant, z0, 20).v for z0 in starts])
+
+    assert benchmark.pedantic(together if how == "batch" else alone, rounds=3).shape == (20, 20, 1)
+
+
+@pytest.mark.parametrize("pair", ["lifted", "augmented"])
+def test_lambda_search(benchmark, pair):
+    benchmark.group = "one search for lambda"
+    made = linear_example().scheme
+    lost = SignalModel(np.zeros((4, 4)), np.zeros((4, 4)))
+    search = LambdaSearch(pair)
+    assert benchmark(lambda: search.choose(lost, made.initial_model, made.lifting.augment)) > 0

@@ -1,0 +1,381 @@
+"""The finite-horizon problems V1, V2 and V3, as data, and one accurate solver for all three."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, InputError, integer, read_only, real_array, weight_matrix
+from rhl._riccati import cost_step, least_steering
+from rhl.model import PredictorMaps, SignalModel
+
+Predictor = SignalModel | PredictorMaps
+
+# V3 is infeasible if the terminal state misses r by more than this share of max(|x|, |r|) and of what x grows to.
+_FEASIBLE_RTOL = 1e-9
+
+# Terminal rows whose singular value is below this share of the largest are rounding.
+_HELD_RTOL = 1e-13
+
+
+class InfeasibleError(ValueError):
+    """No input sequence steers the predictor from x to the terminal state r."""
+
+
+@dataclass(frozen=True, eq=False)
+class V1:
+    r"""The problem that the scheme solves at every step, equation (3).
+
+    .. math::
+        V_1 = \min \sum_{i=0}^{N-1} x_i^\top Q x_i + u_i^\top R u_i + \frac{\Gamma(x)}{\epsilon} x_N^\top Q_N x_N
+
+    Parameters
+    ----------
+    model : SignalModel or PredictorMaps
+        Predictor; a signal model stands for its powers, equation (21).
+    Q, QN : float or array_like, shape (n, n)
+        Stage and terminal weight, symmetric positive definite (Assumption 3); a number is that times the identity.
+    R : float or array_like, shape (q, q)
+        Input weight, symmetric positive definite.
+    weight : array_like, shape (...)
+        Gamma(x)/eps(k), nonnegative.
+    horizon : int
+        N, at least 1.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit or a weight is not definite.
+    """
+
+    model: Predictor
+    Q: Array | float
+    R: Array | float
+    QN: Array | float
+    weight: Array | float
+    horizon: int
+
+    def __post_init__(self) -> None:
+        _check_horizon(self.model, self.horizon)
+        for name, size in (("Q", self.model.n), ("R", self.model.q), ("QN", self.model.n)):
+            object.__setattr__(self, name, weight_matrix(name, getattr(self, name), size))
+        weight = real_array("weight", self.weight)
+        if np.any(weight < 0):
+            raise InputError(f"weight must be nonnegative, got {weight.min()}")
+        object.__setattr__(self, "weight", weight)
+
+
+@dataclass(frozen=True, eq=False)
+class V2:
+    r"""How close to zero the terminal state can be brought, equation (10).
+
+    .. math:: V_2 = \min\; \xi_N^\top Q_N \xi_N
+
+    Its solution is not unique; solved for is the one of least :math:`\sum_i |\xi_i|^2 + |\nu_i|^2`
+    (proof of Lemma 1(b)).
+
+    Parameters
+    ----------
+    model : SignalModel or PredictorMaps
+        Predictor.
+    QN : float or array_like, shape (n, n)
+        Terminal weight, symmetric positive definite.
+    horizon : int
+        N, at least 1.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit or the weight is not definite.
+    """
+
+    model: Predictor
+    QN: Array | float
+    horizon: int
+
+    def __post_init__(self) -> None:
+        _check_horizon(self.model, self.horizon)
+        object.__setattr__(self, "QN", weight_matrix("QN", self.QN, self.model.n))
+
+
+@dataclass(frozen=True, eq=False)
+class V3:
+    r"""The problem with a terminal equality, equation (11).
+
+    .. math:: V_3 = \min \sum_{i=0}^{N-1} \xi_i^\top Q \xi_i + \nu_i^\top R \nu_i \quad\text{s.t. } \xi_N = r
+
+    Parameters
+    ----------
+    model : SignalModel or PredictorMaps
+        Predictor.
+    Q : float or array_like, shape (n, n)
+        Stage weight, symmetric positive definite.
+    R : float or array_like, shape (q, q)
+        Input weight, symmetric positive definite.
+    r : array_like, shape (..., n)
+        Terminal state asked for.
+    horizon : int
+        N, at least 1.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit or a weight is not definite.
+    """
+
+    model: Predictor
+    Q: Array | float
+    R: Array | float
+    r: Array
+    horizon: int
+
+    def __post_init__(self) -> None:
+        _check_horizon(self.model, self.horizon)
+        object.__setattr__(self, "Q", weight_matrix("Q", self.Q, self.model.n))
+        object.__setattr__(self, "R", weight_matrix("R", self.R, self.model.q))
+        object.__setattr__(self, "r", real_array("r", self.r, (self.model.n,)))
+
+
+Problem = V1 | V2 | V3
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A solution of V1, V2 or V3: inputs and predicted signals, with a certificate.
+
+    Attributes
+    ----------
+    problem : V1, V2 or V3
+        What was solved.
+    u : array, shape (..., N, q)
+        Optimal inputs u_0 ... u_{N-1}; the scheme applies the first.
+    x : array, shape (..., N+1, n)
+        Predicted signals x_0 ... x_N.
+    """
+
+    problem: Problem
+    u: Array
+    x: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "u", read_only(self.u))
+        object.__setattr__(self, "x", read_only(self.x))
+
+    @property
+    def value(self) -> Array:
+        """The objective at this plan, recomputed from the problem, shape (...)."""
+        problem, end = self.problem, self.x[..., -1, :]
+        if isinstance(problem, V2):
+            return _quadratic(end, problem.QN)
+        stages = _quadratic(self.x[..., :-1, :], problem.Q, along=True) + _quadratic(self.u, problem.R, along=True)
+        total = np.sum(stages, axis=-1)
+        return total + problem.weight * _quadratic(end, problem.QN) if isinstance(problem, V1) else total
+
+    def residual(self) -> Array:
+        """Recompute the optimality conditions from the problem and return their largest relative violation.
+
+        Returns
+        -------
+        array, shape (...)
+            The largest of: how far x is from the prediction (5) under u; how far the gradient of the objective along
+            feasible directions is from zero; in V3, how far x_N is from r. Each is relative to the sum of the
+            absolute values of the terms that cancel in it, so about 1e-15 is the best there is, and a small value
+            certifies the plan.
+        """
+        problem = self.problem
+        maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
+        start, end, effect = self.x[..., 0, :], self.x[..., -1, :], _effect(maps)
+        predicted = maps.predict(start, self.u)
+        reach = PredictorMaps(np.abs(maps.A), np.abs(maps.B)).predict(np.abs(start), np.abs(self.u))
+        gaps = [_relative(predicted - self.x, reach)]
+        if isinstance(problem, V3):
+            gaps.append(_relative((end - problem.r)[..., None, :], reach[..., -1:, :]))
+
+        # The gradient with respect to x, then u; and the same sums with absolute values throughout.
+        pull, pull_size = np.zeros_like(self.x), np.zeros_like(reach)
+        push, push_size = np.zeros_like(self.u), np.zeros_like(self.u)
+        if not isinstance(problem, V2):
+            pull[..., :-1, :] = _rows(problem.Q, self.x[..., :-1, :])
+            pull_size[..., :-1, :] = _rows(np.abs(problem.Q), reach[..., :-1, :])
+            push, push_size = _rows(problem.R, self.u), _rows(np.abs(problem.R), np.abs(self.u))
+        if not isinstance(problem, V3):
+            weight = np.asarray(problem.weight if isinstance(problem, V1) else 1.0)[..., None, None]
+            pull[..., -1:, :] = weight * _rows(problem.QN, self.x[..., -1:, :])
+            pull_size[..., -1:, :] = weight * _rows(np.abs(problem.QN), reach[..., -1:, :])
+        gradient = push + np.einsum("...iajb,...ia->...jb", effect, pull)
+        size = push_size + np.einsum("...iajb,...ia->...jb", np.abs(effect), pull_size)
+        if isinstance(problem, V3):
+            # Whatever part of the gradient is a combination of the terminal rows is held by r's multiplier.
+            rows = effect[..., -1, :, :, :].reshape(*effect.shape[:-4], maps.n, -1)
+            flat = gradient.reshape(*gradient.shape[:-2], -1, 1)
+            basis, strength, _ = np.linalg.svd(rows.swapaxes(-1, -2), full_matrices=False)
+            basis = basis * (strength > _HELD_RTOL * strength[..., :1])[..., None, :]
+            gradient = (flat - basis @ (basis.swapaxes(-1, -2) @ flat)).reshape(gradient.shape)
+        gaps.append(_relative(gradient, size))
+        return np.asarray(np.max(np.stack(np.broadcast_arrays(*gaps)), axis=0))
+
+
+def solve(problem: Problem, x: ArrayLike) -> Plan:
+    r"""Solve V1, V2 or V3 from the signal x.
+
+    Parameters
+    ----------
+    problem : V1, V2 or V3
+        The problem, equations (3), (10), (11).
+    x : array_like, shape (..., n)
+        Present signal; leading axes broadcast with those of the model and the weights.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InfeasibleError
+        If V3's terminal state cannot be reached.
+    InputError
+        If x has another size or is not finite.
+
+    Notes
+    -----
+    A Riccati recursion in square-root form: the cost to go is carried as a triangular factor S with P = S'S, each step
+    one orthogonal factorisation, so that P is never formed, never loses symmetry, and never squares a condition number.
+
+    V2 and V3 are solved without a terminal cost first. Their objective (for V2: the norm to be least among minimisers)
+    is then that of the solution plus :math:`\sum_i |w_i|^2`, where :math:`w_i = V_i (u_i + K_i x_i)`, and the
+    terminal state is linear in w: what remains is the shortest w that brings it where it is asked to be. Where
+    part of the signal cannot be steered at all and grows along the horizon, by g say, rounding of V2 and V3 grows with
+    it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
+    """
+    x = real_array("x", x, (problem.model.n,))
+    n, q = problem.model.n, problem.model.q
+    start, stages = _stages(problem.model, problem.horizon)
+    Q, R = (np.eye(n), np.eye(q)) if isinstance(problem, V2) else (problem.Q, problem.R)
+    Q_factor, R_factor = _factor(np.asarray(Q)), _factor(np.asarray(R))
+    S = np.zeros((n, n))
+    if isinstance(problem, V1):
+        S = np.sqrt(np.asarray(problem.weight))[..., None, None] * _factor(np.asarray(problem.QN))
+    backward = []
+    for A, B in reversed(stages):
+        K, V, S = cost_step(S, A, B, Q_factor, R_factor)
+        backward.append((A, B, K, V))
+    state = np.einsum("...ab,...b->...a", start, x)
+    pushes = [np.zeros(q)] * len(stages) if isinstance(problem, V1) else _pushes(problem, backward, state)
+    inputs, states = [], [state]
+    for (A, B, K, _), push in zip(reversed(backward), reversed(pushes), strict=True):
+        inputs.append(push - np.einsum("...ab,...b->...a", K, states[-1]))
+        states.append(np.einsum("...ab,...b->...a", A, states[-1]) + np.einsum("...ab,...b->...a", B, inputs[-1]))
+    # The last state has met every array, so it has all leading axes.
+    lead = states[-1].shape[:-1]
+    u = np.stack([np.broadcast_to(u, (*lead, q)) for u in inputs], axis=-2)
+    return Plan(problem, u, np.stack([np.broadcast_to(state[..., :n], (*lead, n)) for state in states], axis=-2))
+
+
+def condensed_hessian(problem: V1) -> Array:
+    r"""Return the Hessian of V1 once the predicted signals are eliminated, shape (..., N q, N q).
+
+    .. math:: H = \bar R + \Psi^\top \bar Q \Psi, \qquad (x_1, \dots, x_N) = \Phi x_0 + \Psi (u_0, \dots, u_{N-1})
+
+    Not used by ``solve``; it is here to be looked at. Its condition number tells what the widespread way of solving
+    V1, a Cholesky factorisation of H, would lose.
+
+    Parameters
+    ----------
+    problem : V1
+        The problem.
+
+    Returns
+    -------
+    array, shape (..., N q, N q)
+    """
+    maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
+    effect, size = _effect(maps), maps.horizon * maps.q
+    push = effect.reshape(*effect.shape[:-2], size)
+    stages, end = push[..., :-1, :, :], push[..., -1, :, :]
+    weight = np.asarray(problem.weight)[..., None, None]
+    H = np.einsum("...iaj,...ab,...ibk->...jk", stages, np.asarray(problem.Q), stages)
+    H = H + weight * (end.swapaxes(-1, -2) @ np.asarray(problem.QN) @ end)
+    return np.asarray(H + np.kron(np.eye(maps.horizon), np.asarray(problem.R)))
+
+
+def _pushes(problem: V2 | V3, backward: list[tuple[Array, Array, Array, Array]], state: Array) -> list[Array]:
+    """Return what V2 and V3 add to the inputs -K x, shapes (..., q), last stage first."""
+    q = problem.model.q
+    # Loop invariant: L takes the state at a stage to the terminal state (in V2's norm) if nothing is added from there.
+    L = _factor(np.asarray(problem.QN)) if isinstance(problem, V2) else np.eye(problem.model.n)
+    columns: list[Array] = []
+    sizes: list[Array] = []
+    for A, B, K, V in backward:
+        BV = B @ np.linalg.inv(V)  # V'V = R + B'PB; its condition is R's and that of the step, not the problem's
+        columns.append(L @ BV)
+        sizes.append(_norm(L)[..., None] * np.linalg.norm(BV, axis=-2))
+        L = np.asarray(L @ (A - B @ K))
+    drift = np.einsum("...ab,...b->...a", L, state)
+    wanted = problem.r - drift if isinstance(problem, V3) else -drift
+    steering = np.concatenate(np.broadcast_arrays(*columns), axis=-1)
+    w = least_steering(steering, wanted, np.concatenate(np.broadcast_arrays(*sizes), axis=-1))
+    if isinstance(problem, V3):
+        miss = np.linalg.norm(wanted - np.einsum("...ab,...b->...a", steering, w), axis=-1)
+        start = np.linalg.norm(state[..., : problem.model.n], axis=-1)
+        scale = np.maximum(np.linalg.norm(problem.r, axis=-1), start * np.maximum(1.0, _norm(L)))
+        if np.any(miss > _FEASIBLE_RTOL * scale):
+            raise InfeasibleError(
+                f"no input sequence of {problem.horizon} steps steers x to r: every terminal state misses r by "
+                f"at least {np.max(miss):.3g}; choose r within reach (V2's terminal state is), or a controllable model"
+            )
+    parts = [w[..., i * q : (i + 1) * q, None] for i in range(problem.horizon)]
+    return [np.asarray(np.linalg.solve(V, part)[..., 0]) for (*_, V), part in zip(backward, parts, strict=True)]
+
+
+def _stages(model: Predictor, horizon: int) -> tuple[Array, list[tuple[Array, Array]]]:
+    """Write the prediction as a chain of steps whose state begins with x_i.
+
+    A signal model is one. General maps become one by carrying the free response: the state at stage i holds
+    the predictions of x_i, ..., x_N under the inputs before i, and u_i shifts them by B_0, ..., B_{N-i-1}.
+    """
+    if isinstance(model, SignalModel):
+        return np.eye(model.n), [(model.A, model.B)] * horizon
+    n, lead = model.n, np.broadcast_shapes(model.A.shape[:-3], model.B.shape[:-3])
+    start = np.broadcast_to(model.A, (*lead, *model.A.shape[-3:])).reshape(*lead, -1, n)
+    columns = np.broadcast_to(model.B, (*lead, *model.B.shape[-3:])).reshape(*lead, -1, model.q)
+    sizes = [n * (horizon - i) for i in range(horizon)]
+    return start, [(np.eye(size, size + n, k=n), columns[..., :size, :]) for size in sizes]
+
+
+def _factor(M: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(M).swapaxes(-1, -2))
+
+
+def _norm(M: Array) -> Array:
+    return np.asarray(np.linalg.norm(M, axis=(-1, -2)), dtype=np.float64)
+
+
+def _quadratic(v: Array, M: Array | float, *, along: bool = False) -> Array:
+    return np.asarray(np.einsum("...ia,...ab,...ib->...i" if along else "...a,...ab,...b->...", v, np.asarray(M), v))
+
+
+def _rows(M: Array | float, v: Array) -> Array:
+    return np.asarray(np.einsum("...ab,...ib->...ia", np.asarray(M), v))
+
+
+def _effect(maps: PredictorMaps) -> Array:
+    """Return the derivatives of x_i with respect to u_j, shape (..., N+1, n, N, q)."""
+    N = maps.horizon
+    effect = np.zeros((*maps.B.shape[:-3], N + 1, maps.n, N, maps.q))
+    for i in range(N):
+        for j in range(i + 1):
+            effect[..., i + 1, :, j, :] = maps.B[..., i - j, :, :]
+    return effect
+
+
+def _relative(gap: Array, size: Array) -> Array:
+    largest = np.max(size, axis=(-1, -2))
+    return np.max(np.abs(gap), axis=(-1, -2)) / np.where(largest > 0, largest, 1.0)
+
+
+def _check_horizon(model: Predictor, horizon: int) -> None:
+    integer("horizon", horizon, 1)
+    if isinstance(model, PredictorMaps) and model.horizon != horizon:
+        raise InputError(f"horizon must be that of the predictor maps, {model.horizon}, got {horizon}")
