@@ -1,0 +1,338 @@
+"""The scheme as an iterator of immutable steps: consistent, batched, and loud when it leaves the range of numbers."""
+
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+
+from rhl._checks import InputError
+from rhl.closed_loop import (
+    Controller,
+    DivergedError,
+    HarmonicDecay,
+    Scheme,
+    Step,
+    advance,
+    closed_loop,
+    replay,
+    start,
+    step,
+)
+from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.estimator import ProximalEstimator
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+from rhl.plants import LinearPlant, RobotArm
+
+SEED = 2010_05891
+STEPS = 12
+# Batched and single runs take the same operations, but sums may be blocked otherwise. Their roundings grow along the
+# transients of these loops by less than 1e4.
+SAME_RTOL = 1e-10
+
+PLANT = LinearPlant([[1.1, 0.3], [0.0, 0.8]], [[0.5], [1.0]], [[1.0, 0.5]])
+Z0 = np.array([1.0, -2.0])
+
+
+def controller(**changes):
+    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": HarmonicDecay(10.0)}
+    return Controller(**settings | changes)
+
+
+def scheme(*, p=1, q=1, outputs=2, inputs=2, mixing=None, **changes):
+    return Scheme(
+        lifting=DelayLifting(outputs, inputs),
+        estimator=ProximalEstimator(4),
+        controller=controller(**changes),
+        initial_model=SignalModel.companion_of_ones(outputs * p, inputs * q, "eye-last-row-of-ones"),
+        mixing=mixing or ConstantMixing(),
+    )
+
+
+def run(made, plant=PLANT, z0=Z0, steps=STEPS):
+    return list(islice(closed_loop(made, plant, z0), steps))
+
+
+def close(found, expected):
+    np.testing.assert_allclose(found, expected, rtol=SAME_RTOL, atol=SAME_RTOL * max(1.0, np.max(np.abs(expected))))
+
+
+SCHEMES = {
+    "plain": scheme(),
+    "delayed": scheme(model_delay=1),
+    "mixed": scheme(mixing=ConstantMixing(0.5)),
+    "searching": scheme(mixing=LambdaSearch()),
+    "no-past-inputs": scheme(inputs=1),
+    "deep": scheme(outputs=3, inputs=4),
+}
+
+
+@pytest.fixture(params=SCHEMES)
+def made(request):
+    """A scheme of every kind."""
+    return SCHEMES[request.param]
+
+
+# The loop against the paper's recursion, written out
+
+
+def test_signals_are_lifted_as_the_paper_says(made):
+    steps, (N_y, N_v) = run(made), (made.lifting.outputs, made.lifting.inputs)
+    y = {done.k: done.y for done in steps}
+    v = {done.k: done.v for done in steps}
+    for done in steps:
+        past_y = [y.get(done.k - i, np.zeros(1)) for i in range(N_y)]
+        past_v = [v.get(done.k - i, np.zeros(1)) for i in range(1, N_v)]
+        assert np.array_equal(done.plan.x[0], np.concatenate([*past_y, *past_v]))
+        gamma = np.sum(done.plan.x[0] ** 2)
+        assert done.problem.weight == pytest.approx(gamma * (1 + 10 * done.k), rel=1e-14)
+
+
+def test_prediction_is_the_model_of_the_step_before(made):
+    steps, (N_y, N_v) = run(made), (made.lifting.outputs, made.lifting.inputs)
+    assert np.array_equal(steps[0].y_hat, steps[0].y)
+    v = {done.k: done.v for done in steps}
+    y = {done.k: done.y for done in steps}
+    for before, done in pairwise(steps):
+        x = np.concatenate([y.get(before.k - i, np.zeros(1)) for i in range(N_y)])
+        u = np.concatenate([v.get(before.k - i, np.zeros(1)) for i in range(N_v)])
+        close(done.y_hat, before.model.step(x, u)[:1])
+
+
+def test_estimate_is_a_proximal_step_from_the_mixed_model(made):
+    previous = made.initial_model
+    for done in run(made):
+        close(done.model.theta, (1 - done.lam) * done.estimate.theta + done.lam * previous.theta)
+        assert np.array_equal(done.memory.model.theta, previous.theta)
+        previous = done.model
+
+
+def test_first_step_leaves_the_model(made):
+    assert np.array_equal(run(made, steps=1)[0].estimate.theta, made.initial_model.theta)
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_model_delay(delay):
+    made = scheme(model_delay=delay)
+    for done in run(made):
+        used = done.memory.model if delay else done.model
+        assert np.array_equal(done.problem.model.theta, made.lifting.augment(used).theta)
+    others = run(scheme(model_delay=1 - delay))
+    assert np.max(np.abs(others[2].v - run(made)[2].v)) > 1e-3
+
+
+def test_every_plan_certifies_itself(made):
+    assert max(done.plan.residual() for done in run(made)) < 1e-12
+
+
+def test_the_plant_is_driven_by_the_first_inputs(made):
+    steps = run(made)
+    assert np.array_equal(steps[0].z, Z0)
+    for done, after in pairwise(steps):
+        assert np.array_equal(done.v, done.plan.u[0])
+        assert np.array_equal(after.z, PLANT.step(done.z, done.v))
+        assert np.array_equal(done.y, PLANT.output(done.z))
+
+
+def test_a_loop_that_works_brings_the_state_down():
+    steps = run(SCHEMES["plain"], steps=60)
+    assert np.linalg.norm(steps[-1].z) < 1e-3 * np.linalg.norm(Z0)
+    uncontrolled = np.linalg.matrix_power(PLANT.F, 60) @ Z0
+    assert np.linalg.norm(uncontrolled) > 10 * np.linalg.norm(Z0)
+
+
+# Ways to run it
+
+
+def test_step_and_advance_by_hand_are_the_loop(made):
+    memory, z = start(made), Z0
+    for done in run(made):
+        by_hand = step(made, memory, PLANT.output(z))
+        assert np.array_equal(by_hand.v, done.v)
+        assert by_hand.z is None
+        memory, z = advance(made, by_hand), PLANT.step(z, by_hand.v)
+        assert memory.k == done.k + 1
+
+
+def test_replay_of_a_run_gives_its_inputs(made):
+    steps = run(made)
+    again = list(replay(made, [done.y for done in steps], [done.v for done in steps]))
+    for done, replayed in zip(steps, again, strict=True):
+        assert np.array_equal(replayed.v, done.v)
+        assert np.array_equal(replayed.y_hat, done.y_hat)
+        assert np.array_equal(replayed.model.theta, done.model.theta)
+        assert replayed.z is None
+
+
+def test_replay_of_other_inputs_gives_other_answers():
+    steps = run(SCHEMES["plain"])
+    v = np.stack([done.v for done in steps])
+    v[3] += 1.0
+    again = list(replay(SCHEMES["plain"], [done.y for done in steps], v))
+    # What is applied at k = 3 is seen from k = 4 on.
+    assert all(np.array_equal(again[k].v, steps[k].v) for k in range(4))
+    assert np.max(np.abs(again[4].v - steps[4].v)) > 1e-3
+
+
+def test_runs_repeat_to_the_bit(made):
+    for one, other in zip(run(made), run(made), strict=True):
+        assert np.array_equal(one.v, other.v)
+        assert np.array_equal(one.model.theta, other.model.theta)
+
+
+@pytest.mark.parametrize("lead", [(3,), (2, 2)])
+def test_batch_of_starts_is_that_many_loops(made, lead):
+    starts = np.random.default_rng(SEED).standard_normal((*lead, 2))
+    together = run(made, z0=starts)
+    assert together[0].v.shape == (*lead, 1)
+    for index in np.ndindex(lead):
+        for done, alone in zip(together, run(made, z0=starts[index]), strict=True):
+            close(done.v[index], alone.v)
+            close(done.model.theta[index], alone.model.theta)
+            close(done.z[index], alone.z)
+
+
+def test_batch_of_plants_is_that_many_loops():
+    F = np.array([[[1.1, 0.3], [0.0, 0.8]], [[0.9, 0.1], [0.2, 0.7]], [[0.5, 1.0], [0.0, 1.05]]])
+    together = run(SCHEMES["plain"], plant=LinearPlant(F, PLANT.G, PLANT.H), z0=np.tile(Z0, (3, 1)))
+    for i in range(3):
+        for done, alone in zip(together, run(SCHEMES["plain"], plant=LinearPlant(F[i], PLANT.G, PLANT.H)), strict=True):
+            close(done.v[i], alone.v)
+
+
+def test_several_inputs_and_outputs():
+    plant = LinearPlant(np.diag([1.1, 0.9, 0.5]), [[1.0, 0.0], [0.5, 1.0], [0.0, 1.0]], [[1.0, 0, 0], [0, 1.0, 1.0]])
+    made = scheme(p=2, q=2, outputs=2, inputs=3)
+    steps = run(made, plant=plant, z0=[1.0, 1.0, -1.0], steps=40)
+    assert (made.p, made.q) == (2, 2)
+    assert steps[0].plan.x.shape == (7, 4 + 4)
+    assert np.linalg.norm(steps[-1].z) < 1e-2
+
+
+def test_a_plant_may_have_state_and_output_alike():
+    made = scheme(p=3, outputs=2, inputs=2)
+    assert run(made, plant=RobotArm(), z0=[0.1, 0.0, 0.0], steps=3)[2].y.shape == (3,)
+
+
+# Immutability
+
+
+def arrays_in(value):
+    """Every array reachable from a step."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif is_dataclass(value):
+        for entry in fields(value):
+            yield from arrays_in(getattr(value, entry.name))
+
+
+@pytest.mark.parametrize("name", ["v", "k", "model"])
+def test_steps_are_frozen(name):
+    done = run(SCHEMES["plain"], steps=1)[0]
+    with pytest.raises(FrozenInstanceError):
+        setattr(done, name, None)
+
+
+def test_no_array_of_a_step_can_be_changed(made):
+    for done in run(made, steps=3):
+        found = list(arrays_in(done))
+        assert len(found) > 10
+        for array in found:
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+
+
+def test_what_the_caller_passed_may_change_afterwards():
+    z0 = Z0.copy()
+    steps = closed_loop(SCHEMES["plain"], PLANT, z0)
+    first = next(steps)
+    z0[:] = 100.0
+    second = next(steps)
+    assert np.array_equal(first.z, Z0)
+    assert np.array_equal(second.z, run(SCHEMES["plain"], steps=2)[1].z)
+
+
+# Out of range
+
+
+def test_divergence_tells_when():
+    """Data of 1e200 have squares beyond float64, so Gamma has no value."""
+    with pytest.raises(DivergedError, match="left the range of floating-point numbers at k = 0: weight") as caught:
+        run(SCHEMES["plain"], z0=[1e200, 0.0])
+    assert caught.value.k == 0
+
+
+def test_divergence_after_some_steps():
+    # The input cannot reach the unstable part, so nothing holds it: 1e30 ** k overflows.
+    plant = LinearPlant([[1e30, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
+    taken: list[Step] = []
+    with pytest.raises(DivergedError) as caught:
+        taken.extend(closed_loop(SCHEMES["plain"], plant, Z0))
+    assert 2 <= caught.value.k <= 12
+    assert [done.k for done in taken] == list(range(caught.value.k))
+
+
+def test_divergence_of_the_plant_alone():
+    plant = LinearPlant([[1e300]], [[0.0]], [[1e-300]])
+    with pytest.raises(DivergedError, match="at k = 2: the plant's state is no longer finite") as caught:
+        run(scheme(outputs=1, inputs=1), plant=plant, z0=[1.0])
+    assert caught.value.k == 2
+
+
+def test_a_diverged_output_is_refused():
+    with pytest.raises(DivergedError, match="k = 0: y must be finite, got nan"):
+        step(SCHEMES["plain"], start(SCHEMES["plain"]), [np.nan])
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("build", "sentence"),
+    [
+        (lambda: run(scheme(), z0=[1.0]), r"z0 must have shape \(2,\), got \(1,\)"),
+        (lambda: run(scheme(), z0=[np.inf, 0.0]), "z0 must be finite, got inf"),
+        (lambda: run(scheme(p=2)), "the plant must have 2 outputs, for which the initial model is made, got 1"),
+        (lambda: run(scheme(q=2)), "the plant must have 2 inputs, for which the initial model is made, got 1"),
+        (
+            lambda: next(replay(scheme(), np.ones((3, 2)), np.ones((3, 1)))),
+            r"y must have shape \(at least 1, 1\), got \(3, 2\)",
+        ),
+        (lambda: next(replay(scheme(), np.ones((3, 1)), np.ones((2, 1)))), "as many rows as each other, got 3 and 2"),
+        (lambda: step(scheme(), start(scheme()), [1.0, 2.0]), r"y must have shape \(1,\), got \(2,\)"),
+        (lambda: advance(scheme(), run(scheme(), steps=1)[0], [1.0, 2.0]), r"v must have shape \(1,\), got \(2,\)"),
+        (lambda: scheme(Q=np.eye(2)), r"Q must be a number or a matrix of shape \(3, 3\), got shape \(2, 2\)"),
+        (lambda: scheme(R=-1.0), "R must be positive definite, got smallest eigenvalue -1"),
+        (lambda: scheme(QN=0.0), "QN must be positive definite, got smallest eigenvalue 0"),
+        (lambda: scheme(horizon=0), "horizon must be a whole number of at least 1, got 0"),
+        (lambda: scheme(alpha=0.0), r"alpha must be a positive finite number, got 0\.0"),
+        (lambda: scheme(model_delay=2), "model_delay must be 0 or 1, got 2"),
+        (lambda: HarmonicDecay(0.0), r"rate must be a positive finite number, got 0\.0"),
+        (lambda: run(scheme(epsilon=lambda k: 1.0 - k)), r"epsilon must be positive at every k, got 0\.0 at k = 1"),
+        (
+            lambda: replace(scheme(), initial_model=SignalModel(np.eye(3), np.ones((3, 2)))),
+            "A must have an order that is a multiple of outputs = 2, got 3",
+        ),
+        (
+            lambda: replace(scheme(), initial_model=SignalModel(np.eye(2), np.ones((2, 3)))),
+            "the model's input size must be a multiple of inputs = 2, which u stacks, got 3",
+        ),
+        (
+            lambda: replace(scheme(mixing=LambdaSearch()), initial_model=SignalModel(np.eye(2), np.ones((2, 2)))),
+            "the initial model must be controllable for a lambda-search: its augmented pair must have a margin of",
+        ),
+    ],
+)
+def test_refused(build, sentence):
+    with pytest.raises(InputError, match=sentence):
+        build()
+
+
+def test_uncontrollable_initial_model_is_allowed_without_a_search():
+    made = replace(scheme(), initial_model=SignalModel(np.eye(2), np.ones((2, 2))))
+    assert made.q == 1
+
+
+def test_harmonic_decay():
+    assert [HarmonicDecay(100.0)(k) for k in (0, 1, 10)] == [1.0, 1 / 101, 1 / 1001]
