@@ -1,0 +1,225 @@
+"""Traces as matplotlib figures, for light and dark pages; the one place that decides how a figure looks."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import os
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import matplotlib as mpl
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rhl._checks import Array, InputError
+from rhl.published import curve
+from rhl.trace import Trace, write_whole
+
+ThemeName = Literal["light", "dark"]
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; for each page the shades that stand out from it.
+_COLOURS = {
+    "light": {"text": "#222832", "grid": "#c9ccd1", "cycle": ["#0072b2", "#d55e00", "#009e73", "#aa4499"]},
+    "dark": {"text": "#ced6dd", "grid": "#48566b", "cycle": ["#56b4e9", "#e69f00", "#3fc59d", "#e08ac8"]},
+}
+
+
+def style(theme: ThemeName) -> dict[str, Any]:
+    """Return matplotlib's settings for figures on a light or a dark page."""
+    colours = _COLOURS[theme]
+    text = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "legend.labelcolor")
+    return dict.fromkeys(text, colours["text"]) | {
+        "figure.facecolor": "none",
+        "axes.facecolor": "none",
+        "savefig.facecolor": "none",
+        "axes.grid": True,
+        "grid.color": colours["grid"],
+        "grid.linewidth": 0.5,
+        "axes.axisbelow": True,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.prop_cycle": cycler(color=colours["cycle"]),
+        "lines.linewidth": 1.4,
+        "lines.markersize": 4,
+        "font.size": 9.5,
+        "legend.frameon": False,
+        "legend.fontsize": 8.5,
+        "figure.constrained_layout.use": True,
+        "svg.hashsalt": "rhl",
+    }
+
+
+def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
+    """Make a figure of panels one below the other that share the step axis k.
+
+    Parameters
+    ----------
+    count : int
+        Number of panels.
+    height : float
+        Of each, in inches. The width is that of a phone held upright, where a point of type is then a pixel.
+
+    Returns
+    -------
+    figure, list of axes
+    """
+    figure = Figure(figsize=(5.2, height * count + 0.4))
+    axes = list(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
+    axes[-1].set_xlabel("step $k$")
+    return figure, axes
+
+
+def held(ax: Axes, values: Array, label: str, **settings: Any) -> None:
+    """Draw a signal over k that holds its value until the next step, as the paper's figures do."""
+    ax.step(np.arange(len(values)), values, where="post", label=label, **settings)
+
+
+def against_published(ax: Axes, values: Array, name: str, label: str, colour: str = "C0") -> None:
+    """Draw our samples as a line and the published curve ``name`` as circles around its samples."""
+    held(ax, values[: len(curve(name))], f"{label}, reproduced", color=colour)
+    samples = np.arange(len(curve(name)))
+    ax.plot(samples, curve(name), "o", mfc="none", color=colour, alpha=0.7, label=f"{label}, published")
+
+
+def differences(ax: Axes, gaps: Mapping[str, Array], tolerance: float | None = None) -> None:
+    """Draw absolute differences on a logarithmic axis; exact agreement is drawn at 1e-17."""
+    for (label, gap), marker in zip(gaps.items(), "osv^", strict=False):
+        ax.semilogy(np.arange(len(gap)), np.maximum(np.abs(gap), 1e-17), marker, label=label, ms=3.5)
+    if tolerance is not None:
+        ax.axhline(tolerance, color=mpl.rcParams["text.color"], ls="--", lw=1, label=f"tolerance {tolerance:g}")
+    ax.set_ylabel("|difference|")
+
+
+def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure:
+    """Draw a run of one of the paper's examples on the published curves, and how far apart they are.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run of ``published.linear_example()`` or ``published.robot_arm()``.
+    experiment : {"linear", "robot"}
+        Which of them.
+
+    Returns
+    -------
+    Figure
+    """
+    ours: dict[str, tuple[str, str, Array]]
+    if experiment == "linear":
+        ours = {"y": ("linear_y", "output $y$", trace.y[:, 0]), "v": ("linear_u", "input $v$", trace.v[:, 0])}
+    else:
+        labels = ("angle $x_1$ (rad)", "velocity $x_2$ (rad/s)", "current $x_3$ (A)")
+        ours = {f"x{i + 1}": (f"robot_x{i + 1}", label, trace.z[:, i]) for i, label in enumerate(labels)}
+    figure, axes = panels(len(ours) + 1)
+    gaps = {}
+    for i, (ax, (name, (published, label, values))) in enumerate(zip(axes[:-1], ours.items(), strict=True)):
+        against_published(ax, values, published, f"${name[0]}_{name[1]}$" if name[1:] else f"${name}$", f"C{i}")
+        ax.set_ylabel(label)
+        ax.legend()
+        gaps[f"${name[0]}_{name[1]}$" if name[1:] else f"${name}$"] = values[: len(curve(published))] - curve(published)
+    differences(axes[-1], gaps, 1e-9)
+    axes[-1].legend(loc="lower right", ncols=2)
+    return figure
+
+
+def run(trace: Trace, title: str = "") -> Figure:
+    """Draw outputs and their predictions, inputs, the terminal weight, and the controllability margins of one run."""
+    figure, axes = panels(4)
+    for i in range(trace.y.shape[1]):
+        held(axes[0], trace.y[:, i], f"$y_{i + 1}$", color=f"C{i}")
+        axes[0].plot(trace.k, trace.y_hat[:, i], "x", color=f"C{i}", label=rf"$\hat y_{i + 1}$", ms=3.5)
+    for i in range(trace.v.shape[1]):
+        held(axes[1], trace.v[:, i], f"$v_{i + 1}$", color=f"C{i}")
+    held(axes[2], np.where(trace.weight > 0, trace.weight, np.nan), r"$\Gamma(X)/\epsilon$")
+    held(axes[3], np.where(trace.margin_lifted > 0, trace.margin_lifted, np.nan), "lifted pair")
+    held(axes[3], np.where(trace.margin_augmented > 0, trace.margin_augmented, np.nan), "augmented pair")
+    for ax, label in zip(axes, ("output", "input", "terminal weight", "controllability margin"), strict=True):
+        ax.set_ylabel(label)
+        ax.legend(ncols=3)
+    for ax in axes[2:]:
+        ax.set_yscale("log")
+    if title:
+        axes[0].set_title(title, fontsize=10)
+    return figure
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure drawn twice, for light and for dark pages, that a notebook shows with its alternative text."""
+
+    light: str
+    dark: str
+    alt: str
+
+    def _repr_html_(self) -> str:
+        def image(theme: ThemeName, svg: str) -> str:
+            data = base64.b64encode(svg.encode()).decode()
+            return (
+                f'<img class="only-{theme} rhl-{theme}" style="width:100%;max-width:44rem;height:auto" '
+                f'src="data:image/svg+xml;base64,{data}" alt="{html.escape(self.alt)}">'
+            )
+
+        # A page without the book's theme switch (a notebook opened by itself) shows the light one only.
+        rule = "<style>html:not([data-theme]) .rhl-dark{display:none}</style>"
+        return f"{rule}{image('light', self.light)}{image('dark', self.dark)}"
+
+
+def show(draw: Callable[[], Figure], alt: str) -> Picture:
+    """Draw a figure for both themes.
+
+    Parameters
+    ----------
+    draw : callable
+        Makes the figure; called once for each theme with its settings in force.
+    alt : str
+        What is to be seen, in a sentence, for those who cannot see it.
+
+    Returns
+    -------
+    Picture
+        The last line of a notebook's cell shows it.
+
+    Raises
+    ------
+    InputError
+        If the alternative text is not a sentence.
+    """
+    if len(alt.split()) < 4 or not alt.rstrip().endswith("."):
+        raise InputError(f"alt must be a sentence that says what the figure shows, got {alt!r}")
+    return Picture(_svg(draw, "light"), _svg(draw, "dark"), alt)
+
+
+def save(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeName = "light") -> None:
+    """Draw a figure into an .svg, .pdf or .png file, on a white or a dark ground; the file appears whole.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    target = Path(path)
+    ground = "#ffffff" if theme == "light" else "#14181e"
+    metadata = {} if target.suffix == ".png" else {"Date" if target.suffix == ".svg" else "CreationDate": None}
+    buffer = io.BytesIO()
+    with _themed(theme):
+        draw().savefig(buffer, format=target.suffix[1:], facecolor=ground, dpi=150, metadata=metadata)
+    write_whole(target, buffer.getvalue())
+
+
+def _svg(draw: Callable[[], Figure], theme: ThemeName) -> str:
+    buffer = io.StringIO()
+    with _themed(theme):
+        draw().savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def _themed(theme: ThemeName) -> AbstractContextManager[None]:
+    # matplotlib's stubs spell out every key; a plain dictionary is what it takes.
+    return mpl.rc_context(cast(Any, style(theme)))
