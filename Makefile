@@ -18,7 +18,7 @@ help: ## list these commands
 env: .venv/installed ## make .venv with everything in environment.lock, and rhl on its path
 
 book: env ## execute and build the book into build/_build/html
-	python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
+	RHL_BOOK=1 python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
 
 test: env ## lint, types, library, notebooks, README and the book
 	ruff check
@@ -27,6 +27,7 @@ test: env ## lint, types, library, notebooks, README and the book
 	pytest -n 2
 
 serve: env ## show the built book on http://localhost:8000 (PORT=... for another port)
+	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
 	python -m http.server $(PORT) --bind localhost --directory build/_build/html
 
 verify: env ## both simulations of the paper against its published data

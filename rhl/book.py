@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import math
+import os
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhl._checks import InputError
@@ -11,6 +14,8 @@ from rhl.published import Comparison
 
 if TYPE_CHECKING:
     from pandas.io.formats.style import Styler
+
+    from rhl.claims.claim import Judgement
 
 
 def tell(**values: float | int | str) -> None:
@@ -33,6 +38,9 @@ def tell(**values: float | int | str) -> None:
         if not isinstance(plain, str) and not math.isfinite(plain):
             raise InputError(f"{name} must be finite to be told in the text, got {plain}")
         glue(name, plain, display=False)
+        if "RHL_BOOK" not in os.environ:
+            # Outside the book the prose shows the names only; so that a reader of the notebook finds the numbers.
+            print(f"{name} = {plain}")
 
 
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
@@ -56,3 +64,34 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
         }
         for row in rows
     )
+
+
+def ledger_table(judgements: Iterable[Judgement]) -> str:
+    """Return judgements as HTML for a page in ``book/``: each row links to its page, its code and its test."""
+    rows = [_ledger_row(judgement) for judgement in judgements]
+    head = "<tr><th>claim</th><th>what it says, and what came out</th></tr>"
+    return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+
+
+def _ledger_row(judgement: Judgement) -> str:
+    claim, found = judgement.claim, judgement.evidence
+    module = claim.stated.__module__ if claim.stated else None
+    links = [
+        (f"../{claim.page.removesuffix('.ipynb').removesuffix('.md')}.html", "page"),
+        (f"checks.html#{Path(claim.test).stem.replace('_', '-')}", "test"),
+    ]
+    if module:
+        links.insert(1, (f"../_modules/{module.replace('.', '/')}.html", "code"))
+    says = [html.escape(claim.statement)]
+    if found and claim.control:
+        says.append(
+            f"<b>{judgement.verdict}</b>: {claim.method}, {found.cases} cases, worst {found.worst:.2g}, "
+            f"tolerance {found.tolerance:.2g} ({html.escape(found.why)}). Fails with {html.escape(claim.control.what)}."
+        )
+    else:
+        says.append(f"<b>{judgement.verdict}</b>.")
+    if claim.reason:
+        says.append(html.escape(claim.reason))
+    says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
+    item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
+    return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -19,6 +22,9 @@ from rhl.closed_loop import DivergedError, Step
 from rhl.config import load
 from rhl.controllability import LostControllability
 from rhl.trace import Trace, header, simulate, write_whole
+
+if TYPE_CHECKING:
+    from rhl.claims.claim import Judgement
 
 OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -63,6 +69,18 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--output", type=Path, metavar="CSV", required=True, help="write the run's rows to this file")
     run.set_defaults(command=_run)
 
+    verify = commands.add_parser("verify", help="check every claim of the paper, or some")
+    verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
+    verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
+    verify.add_argument("--json", type=Path, metavar="FILE", dest="output", help="write the judgements to this file")
+    verify.add_argument("--seed", type=int, default=0, help="where random cases come from (default: 0)")
+    amount = verify.add_mutually_exclusive_group()
+    amount.add_argument(
+        "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
+    )
+    amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a first look")
+    verify.set_defaults(command=_verify, plot=None)
+
     for command in (reproduce, run):
         command.add_argument("--plot", type=Path, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file")
     return parser
@@ -81,10 +99,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     for row in rows:
         tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
         table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
-    console = Console(highlight=False)
-    # Off a terminal rich assumes 80 columns, which would fold the table.
-    console.width = max(console.width, 110)
-    console.print(table)
+    _print(table, least_width=110)
     if options.output:
         trace.to_csv(options.output)
     if options.plot:
@@ -100,14 +115,11 @@ def _run(options: argparse.Namespace) -> int:
     _check_targets(options)
     done: list[Step] = []
     status, reason = OK, ""
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True) if console.is_terminal else nullcontext() as progress:
-        task = progress.add_task(experiment.name, total=experiment.steps) if progress else None
+    with _progress(experiment.name, experiment.steps) as advance:
 
         def tick(step: Step) -> None:
             done.append(step)
-            if progress and task is not None:
-                progress.advance(task)
+            advance()
 
         try:
             simulate(experiment.scheme, experiment.plant, experiment.z0, experiment.steps, tick)
@@ -129,7 +141,75 @@ def _run(options: argparse.Namespace) -> int:
         write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
     if reason:
         print(f"rhl: {reason}; the {len(done)} rows before it are in {options.output}", file=sys.stderr)
+    else:
+        end = f"largest |z| {np.max(np.abs(trace.z[-1])):.3g}, largest |v| {np.max(np.abs(trace.v[-1])):.3g}"
+        print(f"{len(done)} rows in {options.output}; at the end {end}")
     return status
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from rhl.claims import ledger  # here, because the other commands do without
+    from rhl.claims.claim import Effort
+
+    effort, claims = Effort(options.seed, options.cases), ledger.select(options.ids)
+    _check_targets(options)
+    if options.list:
+        for claim in claims:
+            print(f"{claim.id:28} {claim.statement}")
+        return OK
+    done: list[Judgement] = []
+    with _progress("checking", len(claims)) as advance:
+
+        def tick(judgement: Judgement) -> None:
+            done.append(judgement)
+            advance()
+
+        try:
+            ledger.run(claims, effort, tick)
+        except KeyboardInterrupt:
+            print(f"rhl: interrupted after {len(done)} of {len(claims)} claims", file=sys.stderr)
+    table = Table(title=f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases", title_justify="left")
+    table.add_column("claim", no_wrap=True)
+    table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
+    for heading in ("checked by", "cases", "worst", "tolerance", "verdict", "control"):
+        table.add_column(
+            heading, no_wrap=True, justify="right" if heading in ("cases", "worst", "tolerance") else "left"
+        )
+    for row in done:
+        found = row.evidence
+        numbers = (str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}") if found else ("", "", "")
+        control = {True: "fails, as it must", False: "PASSES", None: ""}[row.tripped]
+        verdict = row.verdict if row.verdict == row.claim.recorded else f"{row.verdict}, NOT {row.claim.recorded}"
+        table.add_row(row.claim.id, row.claim.statement, row.claim.method, *numbers, verdict, control)
+    _print(table, least_width=220)
+    tally = Counter(row.verdict for row in done)
+    print(", ".join(f"{count} {verdict}" for verdict, count in tally.items()), end="")
+    print(f"; {sum(row.seconds for row in done):.0f} s")
+    if options.output:
+        write_whole(options.output, json.dumps(ledger.as_json(done, effort), indent=1) + "\n")
+    if len(done) < len(claims):
+        return INTERRUPTED
+    return OK if all(row.as_recorded for row in done) else MISSED
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a bar on a terminal's standard error, and nothing elsewhere."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda: None
+        return
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def _print(table: Table, least_width: int) -> None:
+    console = Console(highlight=False)
+    # Off a terminal rich assumes 80 columns, which would fold the table.
+    if not console.is_terminal:
+        console.width = max(console.width, least_width)
+    console.print(table)
 
 
 def _check_targets(options: argparse.Namespace) -> None:

@@ -39,12 +39,12 @@ class DivergedError(ArithmeticError):
 
 @dataclass(frozen=True)
 class HarmonicDecay:
-    r"""The schedule :math:`\epsilon(k) = 1 / (1 + c k)` of Section V.
+    r"""The schedule :math:`\epsilon(k) = 1 / (1 + \eta k)` of Section VI.
 
     Parameters
     ----------
     rate : float
-        c, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
+        :math:`\eta`, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
 
     Raises
     ------
@@ -179,8 +179,10 @@ class Memory:
     ----------
     k : int
         The step about to be taken.
-    y, v : array, shapes (..., T, p) and (..., T, q)
-        y(k-1), y(k-2), ... and v(k-1), v(k-2), ...; zero before k = 0.
+    y : array, shape (..., T, p)
+        y(k-1), y(k-2), ...; zero before k = 0.
+    v : array, shape (..., T, q)
+        v(k-1), v(k-2), ...; zero before k = 0.
     model : SignalModel
         theta~(k-1).
     y_hat : array, shape (..., p), or None
@@ -204,8 +206,11 @@ class Step:
     Attributes
     ----------
     k : int
-    y, v : array, shapes (..., p), (..., q)
-        Output measured and input computed.
+        The step.
+    y : array, shape (..., p)
+        Output measured.
+    v : array, shape (..., q)
+        Input computed.
     y_hat : array, shape (..., p)
         Prediction of y(k) made at k-1; y(0) at k = 0.
     estimate : SignalModel

@@ -86,9 +86,15 @@ class EstimatorSection(_Section):
 class ControllerSection(_Section):
     """[controller]: equation (3); sizes are those of Remark 4's augmented state, N_y p + (N_v - 1) q."""
 
-    Q: Number | Matrix = _key("a positive number (times the identity) or a symmetric positive definite matrix")
-    R: Number | Matrix = _key("a positive number (times the identity) or a symmetric positive definite matrix")
-    QN: Number | Matrix = _key("a positive number (times the identity) or a symmetric positive definite matrix")
+    Q: Number | Matrix = _key(
+        "a positive number (times the identity) or a symmetric positive definite matrix, (N_y p + (N_v-1) q) square"
+    )
+    R: Number | Matrix = _key(
+        "a positive number (times the identity) or a symmetric positive definite matrix, q square"
+    )
+    QN: Number | Matrix = _key(
+        "a positive number (times the identity) or a symmetric positive definite matrix, (N_y p + (N_v-1) q) square"
+    )
     horizon: Length = _key("a whole number from 1 to 10000, N")
     alpha: Positive = _key("a positive number, Gamma(x) = alpha x'x")
     eps_rate: Positive = _key("a positive number, eps(k) = 1/(1 + eps_rate k)")
@@ -213,13 +219,20 @@ def parse(data: dict[str, Any]) -> Config:
 
 
 def keys() -> Iterator[tuple[str, str]]:
-    """Yield every key with what it must be, in the order of the file; the book's reference is made of this."""
+    """Yield every key with what it must be, in the order of the file; the book's reference is made of this.
+
+    A key of one kind of plant alone says so.
+    """
     for name in ("name", "steps"):
         yield name, Config.model_fields[name].description or ""
     for table, kinds in _SECTIONS.items():
+        described: dict[str, list[str]] = {}
         for kind in kinds:
             for name, info in kind.model_fields.items():
-                yield f"{table}.{name}", info.description or ""
+                described.setdefault(name, []).append(info.description or "")
+        for name, texts in described.items():
+            only = "" if len(texts) == len(kinds) else "; in one kind of plant only"
+            yield f"{table}.{name}", " or ".join(dict.fromkeys(texts)) + only
 
 
 def _sentence(error: ValidationError, data: dict[str, Any]) -> str:

@@ -96,7 +96,7 @@ class LambdaSearch:
 
     Notes
     -----
-    Source: Lemma 5 (the project's brief calls it Lemma 4) and Theorem 2(iii).
+    Source: Lemma 5 (Lemma 4 where Lemma 1, set in the revision's colour, is not counted) and Theorem 2(iii).
     """
 
     pair: Literal["lifted", "augmented"] = "augmented"
@@ -142,7 +142,8 @@ class LambdaSearch:
             raise LostControllability(
                 f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
                 f"{self.least_margin:g} (largest found {np.min(np.max(margins, axis=-1)):.3g}); "
-                "widen lambda_max, lower least_margin, or start from a model that is better controllable"
+                "widen lambda_max, lower least_margin, mix by a constant, "
+                "or start from a model that is better controllable"
             )
         first = np.argmax(enough, axis=-1)
         chosen = first if self.rule == "first" else np.where(enough[..., 0], 0, np.argmax(margins, axis=-1))

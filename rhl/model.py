@@ -188,7 +188,7 @@ class SignalModel:
 
         Notes
         -----
-        The paper only says "a controllable signal model" (Section V); these are this project's observation,
+        The paper only says "a controllable signal model" (Section VI); these are this project's observation,
         checked by reproducing the published curves.
         """
         n, q = integer("n", n, 1), integer("q", q, 1)

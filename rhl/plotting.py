@@ -120,10 +120,13 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
     figure, axes = panels(len(ours) + 1)
     gaps = {}
     for i, (ax, (name, (published, label, values))) in enumerate(zip(axes[:-1], ours.items(), strict=True)):
-        against_published(ax, values, published, f"${name[0]}_{name[1]}$" if name[1:] else f"${name}$", f"C{i}")
+        symbol = f"${name[0]}_{name[1]}$" if name[1:] else f"${name}$"
+        against_published(ax, values, published, symbol, f"C{i}")
         ax.set_ylabel(label)
         ax.legend()
-        gaps[f"${name[0]}_{name[1]}$" if name[1:] else f"${name}$"] = values[: len(curve(published))] - curve(published)
+        gaps[symbol] = values[: len(curve(published))] - curve(published)
+        if np.max(np.abs(values)) > 100 * np.max(np.abs(curve(published))):
+            ax.set_yscale("symlog")
     differences(axes[-1], gaps, 1e-9)
     axes[-1].legend(loc="lower right", ncols=2)
     return figure
@@ -158,6 +161,9 @@ class Picture:
     dark: str
     alt: str
 
+    def __repr__(self) -> str:
+        return self.alt
+
     def _repr_html_(self) -> str:
         def image(theme: ThemeName, svg: str) -> str:
             data = base64.b64encode(svg.encode()).decode()
@@ -167,7 +173,8 @@ class Picture:
             )
 
         # A page without the book's theme switch (a notebook opened by itself) shows the light one only.
-        rule = "<style>html:not([data-theme]) .rhl-dark{display:none}</style>"
+        alone = "html:not([data-theme])"
+        rule = f"<style>{alone} .rhl-dark{{display:none}}{alone} .rhl-light{{background:#fff}}</style>"
         return f"{rule}{image('light', self.light)}{image('dark', self.dark)}"
 
 
