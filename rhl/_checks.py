@@ -106,20 +106,43 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
     array = real_array(name, value)
     if array.ndim == 0:
         array = array * np.eye(n)
-    if array.ndim < 2 or array.shape[-2:] != (n, n):
+    if array.ndim < 2 or array.shape[-2:] != (n, n) or array.size == 0:
         raise InputError(f"{name} must be a number or a matrix of shape ({n}, {n}), got shape {_shape(array.shape)}")
     transposed = array.swapaxes(-1, -2)
-    gap = np.max(np.abs(array - transposed))
-    if gap > _SYMMETRY_RTOL * np.max(np.abs(array)):
+    # Each member of a batch is judged by its own size.
+    largest = np.max(np.abs(array), axis=(-1, -2), keepdims=True)
+    scaled = array / np.where(largest > 0, largest, 1.0)
+    if np.max(np.abs(scaled - scaled.swapaxes(-1, -2))) > _SYMMETRY_RTOL:
+        gap = np.max(np.abs(scaled - scaled.swapaxes(-1, -2)) * largest)
         raise InputError(f"{name} must be symmetric, got entries that differ from their mirror by {gap:.3g}")
-    array = (array + transposed) / 2
+    array = array / 2 + transposed / 2
     try:
         np.linalg.cholesky(array)
     except np.linalg.LinAlgError:
-        least = np.min(np.linalg.eigvalsh(array))
+        least = np.min(np.linalg.eigvalsh(scaled / 2 + scaled.swapaxes(-1, -2) / 2) * largest[..., 0])
         raise InputError(f"{name} must be positive definite, got smallest eigenvalue {least:.3g}") from None
     array.flags.writeable = False
     return array
+
+
+def common_batch(**arrays: tuple[Array, int]) -> tuple[int, ...]:
+    """Return the leading batch axes that arrays have in common.
+
+    Parameters
+    ----------
+    **arrays : (array, int)
+        Each with the number of its trailing axes that are not batch axes.
+
+    Raises
+    ------
+    InputError
+        If they do not broadcast together.
+    """
+    try:
+        return np.broadcast_shapes(*(M.shape[: M.ndim - core] for M, core in arrays.values()))
+    except ValueError:
+        shapes = ", ".join(f"{name} {M.shape}" for name, (M, _) in arrays.items())
+        raise InputError(f"leading batch axes must broadcast together, got shapes {shapes}") from None
 
 
 def integer(name: str, value: Any, minimum: int) -> int:
@@ -159,6 +182,13 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 
 def _kind(raw: NDArray[Any], value: Any) -> str:
     return "complex numbers" if raw.dtype.kind == "c" else describe(value)
+
+
+def shown(path: object) -> str:
+    """Return a file's name for a message: as it is if it prints on one line, else quoted; shortened beyond 200."""
+    text = str(path)
+    text = text if text.isprintable() else repr(text)
+    return text if len(text) <= 200 else f"{text[:197]}..."
 
 
 def describe(value: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -17,16 +18,20 @@ from rich.progress import Progress
 from rich.table import Table
 
 from rhl import __version__, published
-from rhl._checks import InputError
+from rhl._checks import InputError, shown
 from rhl.closed_loop import DivergedError, Step
 from rhl.config import load
 from rhl.controllability import LostControllability
 from rhl.trace import Trace, header, simulate, write_whole
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
+    from matplotlib.figure import Figure
+
     from rhl.claims.claim import Judgement
 
-OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED = 0, 1, 2, 3, 130
+OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 
 
 class _Parser(argparse.ArgumentParser):
@@ -47,29 +52,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         options = _parser().parse_args(arguments)
-        return int(options.command(options))
+        status = int(options.command(options))
+        sys.stdout.flush()
+        return status
     except InputError as error:
         print(f"rhl: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("rhl: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the table has gone; Python would complain once more when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"rhl: standard output must take the table, got: {error.strerror}", file=sys.stderr)
         return BAD_INPUT
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="rhl", description="Receding horizon learning, the companion of arXiv 2010.05891.")
+    parser = _Parser(
+        prog="rhl", allow_abbrev=False, description="Receding horizon learning, the companion of arXiv 2010.05891."
+    )
     parser.add_argument("--version", action="version", version=f"rhl {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    reproduce = commands.add_parser("reproduce", help="compare a simulation of the paper with its published data")
+    reproduce = commands.add_parser(
+        "reproduce", allow_abbrev=False, help="compare a simulation of the paper with its published data"
+    )
     reproduce.add_argument("experiment", choices=("linear", "robot"))
     reproduce.add_argument("--printed", action="store_true", help="with the settings as the paper's text prints them")
     reproduce.add_argument("--output", type=Path, metavar="CSV", help="write the run's rows to this file")
     reproduce.set_defaults(command=_reproduce)
 
-    run = commands.add_parser("run", help="run the scheme on a plant of your own")
+    run = commands.add_parser("run", allow_abbrev=False, help="run the scheme on a plant of your own")
     run.add_argument("config", type=Path, metavar="CONFIG.toml", help="what to run; the book documents every key")
     run.add_argument("--output", type=Path, metavar="CSV", required=True, help="write the run's rows to this file")
     run.set_defaults(command=_run)
 
-    verify = commands.add_parser("verify", help="check every claim of the paper, or some")
+    verify = commands.add_parser("verify", allow_abbrev=False, help="check every claim of the paper, or some")
     verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
     verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
     verify.add_argument("--json", type=Path, metavar="FILE", dest="output", help="write the judgements to this file")
@@ -99,19 +121,13 @@ def _reproduce(options: argparse.Namespace) -> int:
     for row in rows:
         tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
         table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
+    _write(options, trace, lambda: _figures().reproduction(trace, options.experiment))
     _print(table, least_width=110)
-    if options.output:
-        trace.to_csv(options.output)
-    if options.plot:
-        from rhl import plotting  # here, because loading matplotlib takes longer than the run
-
-        plotting.save(lambda: plotting.reproduction(trace, options.experiment), options.plot)
     return MISSED if any(row.verdict == "missed" for row in rows) else OK
 
 
 def _run(options: argparse.Namespace) -> int:
-    config = load(options.config)
-    experiment = config.experiment()
+    experiment = load(options.config).experiment()
     _check_targets(options)
     done: list[Step] = []
     status, reason = OK, ""
@@ -131,11 +147,7 @@ def _run(options: argparse.Namespace) -> int:
             status, reason = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
     if done:
         trace = Trace(experiment.scheme, tuple(done))
-        trace.to_csv(options.output)
-        if options.plot:
-            from rhl import plotting
-
-            plotting.save(lambda: plotting.run(trace, experiment.name), options.plot)
+        _write(options, trace, lambda: _figures().run(trace, experiment.name))
     else:
         plant = experiment.plant
         write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
@@ -209,17 +221,57 @@ def _print(table: Table, least_width: int) -> None:
     # Off a terminal rich assumes 80 columns, which would fold the table.
     if not console.is_terminal:
         console.width = max(console.width, least_width)
-    console.print(table)
+    with console.capture() as capture:
+        console.print(table)
+    print(capture.get(), end="")
+
+
+def _figures() -> ModuleType:
+    from rhl import plotting  # here, because loading matplotlib takes longer than the run
+
+    return plotting
+
+
+def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
+    """Write the rows and the figure; if the figure cannot be written, the rows do not stay behind either."""
+    figure = _figures().render(draw, options.plot) if options.plot else b""
+    fresh = options.output and not options.output.exists()
+    if options.output:
+        trace.to_csv(options.output)
+    if options.plot:
+        try:
+            write_whole(options.plot, figure)
+        except InputError:
+            if fresh:
+                options.output.unlink(missing_ok=True)
+            raise
 
 
 def _check_targets(options: argparse.Namespace) -> None:
-    """Refuse files that cannot be written before any work is done."""
+    """Refuse files that cannot be written, or are named twice, before any work is done."""
+    taken = {}
+    if getattr(options, "config", None):
+        taken[options.config.resolve()] = "the configuration"
     for flag, target in (("--output", options.output), ("--plot", options.plot)):
         if target is None:
             continue
-        if not target.parent.is_dir():
-            raise InputError(f"{flag} must name a file in a folder that exists, got {target}")
-        if target.is_dir():
-            raise InputError(f"{flag} must name a file, got the folder {target}")
+        name = shown(target)
+        try:
+            resolved = target.resolve()
+            if not resolved.parent.is_dir():
+                raise InputError(f"{flag} must name a file in a folder that exists, got {name}")
+            if resolved.is_dir():
+                raise InputError(f"{flag} must name a file, got the folder {name}")
+            if not os.access(resolved if resolved.exists() else resolved.parent, os.W_OK):
+                raise InputError(f"{flag} must name a file that can be written, got {name}: Permission denied")
+        except (OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{flag} must name a file that can be written, got {name}: {reason}") from None
+        if resolved in taken:
+            raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
+        if resolved.is_file() or not resolved.exists():
+            taken[resolved] = f"also that of {flag}"
     if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):
-        raise InputError(f"--plot must end in .svg, .pdf or .png, got {options.plot}")
+        raise InputError(f"--plot must end in .svg, .pdf or .png, got {shown(options.plot)}")

@@ -99,8 +99,10 @@ class Controller:
     def __post_init__(self) -> None:
         integer("horizon", self.horizon, 1)
         positive("alpha", self.alpha)
-        if self.model_delay not in (0, 1):
+        if isinstance(self.model_delay, bool) or self.model_delay not in (0, 1):
             raise InputError(f"model_delay must be 0 or 1, got {self.model_delay!r}")
+        if not callable(self.epsilon):
+            raise InputError(f"epsilon must be a function of k, got {self.epsilon!r}")
 
     def problem(self, model: SignalModel, x: Array, k: int) -> V1:
         """Set up V1 for the augmented model and state, equation (3)."""
@@ -153,7 +155,7 @@ class Scheme:
         if isinstance(self.mixing, LambdaSearch):
             model = augmented if self.mixing.pair == "augmented" else self.initial_model
             least = np.min(margin(model))
-            if least < self.mixing.least_margin:
+            if not least >= self.mixing.least_margin:
                 raise InputError(
                     "the initial model must be controllable for a lambda-search: "
                     f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
@@ -280,9 +282,10 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
     LostControllability
         If the lambda-search finds no candidate.
     """
+    y = real_array("y", y, (scheme.p,))
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            return _step(scheme, memory, real_array("y", y, (scheme.p,)))
+            return _step(scheme, memory, y)
     except (NotFiniteError, np.linalg.LinAlgError) as error:
         raise DivergedError(memory.k, str(error)) from error
 
@@ -363,13 +366,19 @@ def closed_loop(scheme: Scheme, plant: Plant, z0: ArrayLike) -> Iterator[Step]:
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
+    # One step without input shows the batch axes that the plant itself brings.
+    with np.errstate(over="ignore", invalid="ignore"):
+        z = np.broadcast_to(z, np.shape(plant.step(z, np.zeros(plant.q))))
     return _run(scheme, plant, z)
 
 
 def _run(scheme: Scheme, plant: Plant, z: Array) -> Iterator[Step]:
     memory = start(scheme)
     while True:
-        done = step(scheme, memory, plant.output(z))
+        y = np.asarray(plant.output(z), dtype=np.float64)
+        if not np.all(np.isfinite(y)):
+            raise DivergedError(memory.k, "the plant's output is no longer finite")
+        done = step(scheme, memory, y)
         yield Step(**{**vars(done), "z": z})
         with np.errstate(over="ignore", invalid="ignore"):
             z = np.asarray(plant.step(z, done.v), dtype=np.float64)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from rhl._checks import Array, InputError, describe, real_array
+from rhl._checks import Array, InputError, describe, real_array, shown
 from rhl.bregman import WeightedSquares
 from rhl.closed_loop import Controller, HarmonicDecay, Scheme
 from rhl.controllability import ConstantMixing, LambdaSearch
@@ -23,10 +23,12 @@ from rhl.published import Experiment
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 # The upper ends are far above any use; they keep a slip of the keyboard from taking all memory.
-Size = Annotated[int, Field(strict=True, ge=1, le=1_000)]
+Size = Annotated[int, Field(strict=True, ge=1, le=100)]
 Length = Annotated[int, Field(strict=True, ge=1, le=10_000)]
-Count = Annotated[int, Field(strict=True, ge=1, le=1_000_000)]
+Count = Annotated[int, Field(strict=True, ge=1, le=100_000)]
 Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+# Of the file, in bytes: room for matrices of a few hundred rows.
+_LARGEST = 5_000_000
 Vector = list[Number]
 Matrix = list[list[Number]]
 
@@ -63,8 +65,8 @@ class ArmSection(_Section):
 class LiftingSection(_Section):
     """[lifting]: equations (14) and (22)."""
 
-    outputs: Size = _key("a whole number from 1 to 1000, N_y, how many outputs x(k) stacks")
-    inputs: Size = _key("a whole number from 1 to 1000, N_v, how many inputs u(k) stacks")
+    outputs: Size = _key("a whole number from 1 to 100, N_y, how many outputs x(k) stacks")
+    inputs: Size = _key("a whole number from 1 to 100, N_v, how many inputs u(k) stacks")
 
 
 class EstimatorSection(_Section):
@@ -115,7 +117,7 @@ class Config(_Section):
     """A whole file."""
 
     name: Annotated[str, Field(strict=True)] = _key("a text, what the run is called")
-    steps: Count = _key("a whole number from 1 to 1000000, the number of rows k = 0 .. steps-1")
+    steps: Count = _key("a whole number from 1 to 100000, the number of rows k = 0 .. steps-1")
     plant: Annotated[LinearSection | ArmSection, Field(discriminator="kind")] = _key("a section")
     lifting: LiftingSection = _key("a section")
     estimator: EstimatorSection = _key("a section")
@@ -190,17 +192,23 @@ def load(path: str | os.PathLike[str]) -> Config:
     InputError
         If the file is missing or not TOML, or a key is missing, unknown or not what it must be.
     """
+    name = shown(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} must be a readable TOML file, got: {error.strerror}") from error
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
+    if len(content) > _LARGEST:
+        raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
+    try:
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
+        raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        detail = "too deeply nested" if isinstance(error, RecursionError) else str(error)
-        raise InputError(f"{path} must be valid TOML, got: {detail}") from error
+    except (ValueError, RecursionError) as error:  # the parser's own error is a ValueError, and so is a huge number's
+        detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
+        raise InputError(f"{name} must be valid TOML, got: {detail}") from error
     return parse(data)
 
 
@@ -212,6 +220,8 @@ def parse(data: dict[str, Any]) -> Config:
     InputError
         With one sentence about the first key that does not fit.
     """
+    if not isinstance(data, dict):
+        raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
     try:
         return Config.model_validate(data)
     except ValidationError as error:
@@ -239,12 +249,13 @@ def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
     # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
     first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     kind, (path, fields, found) = first["type"], _locate(first["loc"], data)
-    key = ".".join(path)
+    # A key may be any text; what is no plain word is shown quoted, so that it stays on its line.
+    key = ".".join(part if part.replace("-", "_").isidentifier() else describe(part) for part in path)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         got = describe(found["kind"]) if kind == "union_tag_invalid" else "no such key"
         return f'plant.kind must be "linear" or "robot-arm", got {got}'
     if kind == "extra_forbidden":
-        return f"{key} is not a known key; expected one of {', '.join(fields)}, got {path[-1]}"
+        return f"{key} is not a known key; expected one of {', '.join(fields)}, got {key}"
     wanted = fields[path[-1]].description if path[-1] in fields else "a section"
     if kind == "missing":
         return f"{key} must be {wanted}, got nothing; add the {'section' if wanted == 'a section' else 'key'}"

@@ -27,8 +27,15 @@ def controllability_matrix(model: SignalModel) -> Array:
 
 
 def margin(model: SignalModel) -> Array:
-    """Return the smallest singular value of the controllability matrix, shape (...); zero if not controllable."""
-    return np.asarray(np.linalg.svd(controllability_matrix(model), compute_uv=False)[..., -1])
+    """Return the smallest singular value of the controllability matrix, shape (...).
+
+    Zero if the pair is not controllable; NaN where a power of A leaves the range of float64, so that nothing is known.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        C = controllability_matrix(model)
+    known = np.all(np.isfinite(C), axis=(-1, -2))
+    least = np.linalg.svd(np.where(known[..., None, None], C, 0.0), compute_uv=False)[..., -1]
+    return np.asarray(np.where(known, least, np.nan))
 
 
 class Mixing(Protocol):
@@ -65,6 +72,8 @@ class ConstantMixing:
 
 def candidates(n: int, lambda_max: float) -> Array:
     """Return 2 n^2 + 1 equidistant weights in (0, lambda_max), shape (2 n^2 + 1,), Lemma 5."""
+    positive("lambda_max", lambda_max)
+    fraction("lambda_max", lambda_max)
     count = 2 * integer("n", n, 1) ** 2 + 1
     return lambda_max * np.arange(1, count + 1) / (count + 1)
 
@@ -141,10 +150,12 @@ class LambdaSearch:
         if not np.all(np.any(enough, axis=-1)):
             raise LostControllability(
                 f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
-                f"{self.least_margin:g} (largest found {np.min(np.max(margins, axis=-1)):.3g}); "
+                f"{self.least_margin:g} (largest found {np.min(np.max(np.nan_to_num(margins), axis=-1)):.3g}); "
                 "widen lambda_max, lower least_margin, mix by a constant, "
                 "or start from a model that is better controllable"
             )
         first = np.argmax(enough, axis=-1)
-        chosen = first if self.rule == "first" else np.where(enough[..., 0], 0, np.argmax(margins, axis=-1))
+        chosen = (
+            first if self.rule == "first" else np.where(enough[..., 0], 0, np.argmax(np.nan_to_num(margins), axis=-1))
+        )
         return np.asarray(lam[chosen])

@@ -77,14 +77,21 @@ class ProximalEstimator:
         hold = np.sqrt(self._weights("generator", self.generator, (n, n + q)))
         parameters = np.concatenate([centre.A, centre.B], axis=-1)
         regressors = np.concatenate([x[..., 1:, :], u], axis=-1)
+        # Rows of [A B] with the same weights share one factorisation; mostly that is all of them.
+        same = np.all(trust == trust[0]) and np.all(hold == hold[0])
+        groups = 1 if same else n
+        trust, hold = trust[:groups], hold[:groups]
         # In eta = hold * (theta - centre) the proximal term is |eta|^2, whatever the weights.
-        residual = x[..., :-1, :].swapaxes(-1, -2) - parameters @ regressors.swapaxes(-1, -2)
+        residual = x[..., :-1, :] - regressors @ parameters.swapaxes(-1, -2)
+        target = residual[..., None, :, :] if same else residual.swapaxes(-1, -2)[..., None]
+        target = trust[..., None] * target
         rows = trust[..., None] * regressors[..., None, :, :] / hold[..., None, :]
         eye = np.broadcast_to(np.eye(n + q), (*rows.shape[:-2], n + q, n + q))
-        target = np.concatenate([trust * residual, np.zeros((*residual.shape[:-1], n + q))], axis=-1)
+        target = np.concatenate([target, np.zeros((*target.shape[:-2], n + q, target.shape[-1]))], axis=-2)
         orthogonal, upper = np.linalg.qr(np.concatenate([rows, eye], axis=-2))
-        eta = np.linalg.solve(upper, np.einsum("...ab,...a->...b", orthogonal, target)[..., None])[..., 0]
-        updated = parameters + eta / hold
+        eta = np.linalg.solve(upper, orthogonal.swapaxes(-1, -2) @ target) / hold[..., None]
+        moved = eta[..., 0, :, :].swapaxes(-1, -2) if same else eta[..., 0]
+        updated = parameters + moved
         return SignalModel(updated[..., :n], updated[..., n:])
 
     @staticmethod

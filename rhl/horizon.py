@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, integer, read_only, real_array, weight_matrix
+from rhl._checks import Array, InputError, NotFiniteError, common_batch, integer, read_only, real_array, weight_matrix
 from rhl._riccati import cost_step, least_steering
 from rhl.model import PredictorMaps, SignalModel
 
@@ -236,7 +236,7 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     InfeasibleError
         If V3's terminal state cannot be reached.
     InputError
-        If x has another size or is not finite.
+        If x has another size or is not finite, batch axes do not broadcast, or the plan overflows (NotFiniteError).
 
     Notes
     -----
@@ -250,6 +250,18 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
     """
     x = real_array("x", x, (problem.model.n,))
+    _check_batch(problem, x)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            plan = _solve(problem, x)
+    except np.linalg.LinAlgError as error:
+        raise NotFiniteError(f"the plan must stay in the range of floating-point numbers: {error}") from error
+    if not (np.all(np.isfinite(plan.u)) and np.all(np.isfinite(plan.x))):
+        raise NotFiniteError("the plan must stay in the range of floating-point numbers, got NaN or infinity in it")
+    return plan
+
+
+def _solve(problem: Problem, x: Array) -> Plan:
     n, q = problem.model.n, problem.model.q
     start, stages = _stages(problem.model, problem.horizon)
     Q, R = (np.eye(n), np.eye(q)) if isinstance(problem, V2) else (problem.Q, problem.R)
@@ -290,6 +302,8 @@ def condensed_hessian(problem: V1) -> Array:
     -------
     array, shape (..., N q, N q)
     """
+    if not isinstance(problem, V1):
+        raise InputError(f"problem must be a V1, got {type(problem).__name__}")
     maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
     effect, size = _effect(maps), maps.horizon * maps.q
     push = effect.reshape(*effect.shape[:-2], size)
@@ -373,6 +387,15 @@ def _effect(maps: PredictorMaps) -> Array:
 def _relative(gap: Array, size: Array) -> Array:
     largest = np.max(size, axis=(-1, -2))
     return np.max(np.abs(gap), axis=(-1, -2)) / np.where(largest > 0, largest, 1.0)
+
+
+def _check_batch(problem: Problem, x: Array) -> None:
+    core = 3 if isinstance(problem.model, PredictorMaps) else 2
+    parts = {"A": (problem.model.A, core), "B": (problem.model.B, core), "x": (x, 1)}
+    for name, size in (("Q", 2), ("R", 2), ("QN", 2), ("weight", 0), ("r", 1)):
+        if hasattr(problem, name):
+            parts[name] = (getattr(problem, name), size)
+    common_batch(**parts)
 
 
 def _check_horizon(model: Predictor, horizon: int) -> None:

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, integer, real_array, square
+from rhl._checks import Array, InputError, common_batch, integer, real_array, square
 
 InputMatrix = Literal["last-row-of-ones", "eye-last-row-of-ones"]
 
@@ -45,7 +45,7 @@ class PredictorMaps:
         if A.shape[-2] != n or count < 2:
             raise InputError(f"A must have shape (N+1, n, n) with N at least 1, got {A.shape}")
         B = real_array("B", self.B, (count - 1, n, None))
-        _common_batch(A, B, core=3)
+        common_batch(A=(A, 3), B=(B, 3))
         if not np.array_equal(A[..., 0, :, :], np.broadcast_to(np.eye(n), (*A.shape[:-3], n, n))):
             raise InputError("A[0] must be the identity, for a prediction over no step is the state itself")
         object.__setattr__(self, "A", A)
@@ -82,6 +82,7 @@ class PredictorMaps:
         """
         x0 = real_array("x0", x0, (self.n,))
         u = real_array("u", u, (self.horizon, self.q))
+        common_batch(A=(self.A, 3), B=(self.B, 3), x0=(x0, 1), u=(u, 2))
         free = np.einsum("...iab,...b->...ia", self.A, x0)
         forced = [np.zeros_like(free[..., 0, :])]
         for i in range(1, self.horizon + 1):
@@ -122,7 +123,7 @@ class SignalModel:
     def __post_init__(self) -> None:
         A = square("A", self.A)
         B = real_array("B", self.B, (A.shape[-1], None))
-        lead = _common_batch(A, B, core=2)
+        lead = common_batch(A=(A, 2), B=(B, 2))
         object.__setattr__(self, "A", np.broadcast_to(A, (*lead, *A.shape[-2:])))
         object.__setattr__(self, "B", np.broadcast_to(B, (*lead, *B.shape[-2:])))
 
@@ -204,6 +205,7 @@ class SignalModel:
         """Return A x + B u, shape (..., n), equation (18)."""
         x = real_array("x", x, (self.n,))
         u = real_array("u", u, (self.q,))
+        common_batch(A=(self.A, 2), x=(x, 1), u=(u, 1))
         return np.einsum("...ab,...b->...a", self.A, x) + np.einsum("...ab,...b->...a", self.B, u)
 
     def predictor(self, horizon: int) -> PredictorMaps:
@@ -244,14 +246,17 @@ class SignalModel:
         Returns
         -------
         SignalModel
+
+        Raises
+        ------
+        InputError
+            If the sizes differ or lam is outside [0, 1].
         """
-        share = np.asarray(lam, dtype=np.float64)[..., None, None]
+        if (self.n, self.q) != (other.n, other.q):
+            raise InputError(f"other must have sizes n = {self.n}, q = {self.q}, got {other.n} and {other.q}")
+        lam = real_array("lam", lam)
+        if np.any((lam < 0) | (lam > 1)):
+            raise InputError(f"lam must be in [0, 1], got {lam.min() if np.any(lam < 0) else lam.max()}")
+        common_batch(A=(self.A, 2), other=(other.A, 2), lam=(lam, 0))
+        share = lam[..., None, None]
         return SignalModel((1 - share) * self.A + share * other.A, (1 - share) * self.B + share * other.B)
-
-
-def _common_batch(*arrays: Array, core: int) -> tuple[int, ...]:
-    try:
-        return np.broadcast_shapes(*(M.shape[: M.ndim - core] for M in arrays))
-    except ValueError:
-        shapes = " and ".join(str(M.shape) for M in arrays)
-        raise InputError(f"leading batch axes must broadcast together, got shapes {shapes}") from None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
 
-from rhl._checks import Array, InputError, real_array, square
+from rhl._checks import Array, InputError, common_batch, positive, real_array, square
 
 if TYPE_CHECKING:
     import control
@@ -68,6 +68,7 @@ class LinearPlant:
         object.__setattr__(self, "F", F)
         object.__setattr__(self, "G", real_array("G", self.G, (F.shape[-1], None)))
         object.__setattr__(self, "H", real_array("H", self.H, (None, F.shape[-1])))
+        common_batch(F=(F, 2), G=(self.G, 2), H=(self.H, 2))
 
     @classmethod
     def from_statespace(cls, system: control.StateSpace) -> LinearPlant:
@@ -98,6 +99,8 @@ class LinearPlant:
             )
         if np.any(system.D):
             raise InputError("system must have D = 0 (y = H z, equation (1)), got a feedthrough")
+        if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C)):
+            raise InputError("system must have real matrices, got complex ones")
         return cls(system.A, system.B, system.C)
 
     @property
@@ -162,6 +165,7 @@ class RobotArm:
     def __post_init__(self) -> None:
         if self.variant not in get_args(ArmVariant):
             raise InputError(f"variant must be one of {', '.join(get_args(ArmVariant))}, got {self.variant!r}")
+        positive("h", self.h)
 
     @property
     def n(self) -> int:

@@ -31,6 +31,11 @@ _COLOURS = {
 }
 
 
+FORMATS = (".svg", ".pdf", ".png")
+# matplotlib's own arithmetic overflows beyond this.
+_DRAWABLE = 1e100
+
+
 def style(theme: ThemeName) -> dict[str, Any]:
     """Return matplotlib's settings for figures on a light or a dark page."""
     colours = _COLOURS[theme]
@@ -78,6 +83,9 @@ def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
 
 def held(ax: Axes, values: Array, label: str, **settings: Any) -> None:
     """Draw a signal over k that holds its value until the next step, as the paper's figures do."""
+    values = np.where(np.abs(values) <= _DRAWABLE, values, np.nan)
+    if np.nanmax(np.abs(values), initial=0.0) > 1e6 and ax.get_yscale() == "linear":
+        ax.set_yscale("symlog")
     ax.step(np.arange(len(values)), values, where="post", label=label, **settings)
 
 
@@ -137,7 +145,8 @@ def run(trace: Trace, title: str = "") -> Figure:
     figure, axes = panels(4)
     for i in range(trace.y.shape[1]):
         held(axes[0], trace.y[:, i], f"$y_{i + 1}$", color=f"C{i}")
-        axes[0].plot(trace.k, trace.y_hat[:, i], "x", color=f"C{i}", label=rf"$\hat y_{i + 1}$", ms=3.5)
+        predicted = np.where(np.abs(trace.y_hat[:, i]) <= _DRAWABLE, trace.y_hat[:, i], np.nan)
+        axes[0].plot(trace.k, predicted, "x", color=f"C{i}", label=rf"$\hat y_{i + 1}$", ms=3.5)
     for i in range(trace.v.shape[1]):
         held(axes[1], trace.v[:, i], f"$v_{i + 1}$", color=f"C{i}")
     held(axes[2], np.where(trace.weight > 0, trace.weight, np.nan), r"$\Gamma(X)/\epsilon$")
@@ -149,7 +158,8 @@ def run(trace: Trace, title: str = "") -> Figure:
     for ax in axes[2:]:
         ax.set_yscale("log")
     if title:
-        axes[0].set_title(title, fontsize=10)
+        # The title is a text and no formula, whatever is in it.
+        axes[0].set_title(title[:60].replace("$", r"\$"), fontsize=10, parse_math=False)
     return figure
 
 
@@ -209,15 +219,24 @@ def save(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeN
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file has another ending or cannot be written, or the theme is not known.
     """
+    write_whole(path, render(draw, path, theme))
+
+
+def render(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeName = "light") -> bytes:
+    """Return what ``save`` writes to the path, without writing it."""
     target = Path(path)
+    if target.suffix not in FORMATS:
+        raise InputError(f"path must end in one of {', '.join(FORMATS)}, got {target.name!r}")
+    if theme not in _COLOURS:
+        raise InputError(f"theme must be one of {', '.join(_COLOURS)}, got {theme!r}")
     ground = "#ffffff" if theme == "light" else "#14181e"
     metadata = {} if target.suffix == ".png" else {"Date" if target.suffix == ".svg" else "CreationDate": None}
     buffer = io.BytesIO()
     with _themed(theme):
         draw().savefig(buffer, format=target.suffix[1:], facecolor=ground, dpi=150, metadata=metadata)
-    write_whole(target, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def _svg(draw: Callable[[], Figure], theme: ThemeName) -> str:

@@ -7,7 +7,7 @@ from importlib import resources
 
 import numpy as np
 
-from rhl._checks import Array, InputError
+from rhl._checks import Array, InputError, real_array
 from rhl.closed_loop import Controller, HarmonicDecay, Scheme, replay
 from rhl.controllability import ConstantMixing
 from rhl.estimator import ProximalEstimator
@@ -44,11 +44,11 @@ def curve(name: str) -> Array:
     -----
     Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
     """
-    if name not in CURVES:
+    if name not in list(CURVES):
         raise InputError(f"name must be one of {', '.join(CURVES)}, got {name!r}")
     with resources.files("rhl").joinpath("data", f"{name}.csv").open(encoding="utf-8") as file:
         table = np.loadtxt(file, delimiter=",", skiprows=1)
-    return np.asarray(table[:, 1])
+    return real_array(name, table[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +177,7 @@ UNEXPLAINED = (12, 13, 14)
 
 def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
     """Compare a free run of the linear example, and its scheme with published data fed back, with figures 2 to 6."""
+    _check_length(trace, 42, 3)
     back = fed_back(printed=printed)
     rows = []
     for signal, found, name, last in (
@@ -204,8 +205,14 @@ def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
 
 def compare_robot(trace: Trace) -> list[Comparison]:
     """Compare a free run of the robot arm with figures 7 to 9, all samples."""
+    _check_length(trace, 62, 3)
     gaps = [np.abs(trace.z[:, i] - curve(f"robot_x{i + 1}")) for i in range(3)]
     return [_largest(f"x{i + 1}", gap, np.arange(len(gap)), _FREE_RUN) for i, gap in enumerate(gaps)]
+
+
+def _check_length(trace: Trace, steps: int, n: int) -> None:
+    if len(trace) != steps or trace.z.shape != (steps, n):
+        raise InputError(f"trace must be a run of {steps} steps with {n} states, got {len(trace)} steps")
 
 
 def gamma_over_eps(*, printed: bool = False) -> Array:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, integer
+from rhl._checks import Array, InputError, integer, shown
 from rhl.closed_loop import DivergedError, Scheme, Step, closed_loop
 from rhl.controllability import margin
 from rhl.horizon import Plan
@@ -145,19 +145,33 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     InputError
         If the file cannot be written.
     """
-    target = Path(path)
+    data = content.encode() if isinstance(content, str) else content
     try:
-        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        target = Path(path).resolve()  # through a link to what it names
+        if target.exists() and not (target.is_file() and os.access(target.parent, os.W_OK)):
+            # A device, a pipe, or a file in a folder that takes no new ones: there is nothing to rename over it.
+            with target.open("wb") as file:
+                file.write(data)
+            return
+        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+        descriptor, name = tempfile.mkstemp(dir=target.parent)
         try:
             with os.fdopen(descriptor, "wb") as file:
-                file.write(content.encode() if isinstance(content, str) else content)
-            os.chmod(name, 0o644)
+                file.write(data)
+            os.chmod(name, mode)
             os.replace(name, target)
         except BaseException:
             os.unlink(name)
             raise
-    except OSError as error:
-        raise InputError(f"{target} must be a writable file, got: {error.strerror}") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{shown(path)} must be a writable file, got: {reason}") from error
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def simulate(

@@ -1,8 +1,11 @@
 """The command line: exit status, one sentence, no file left behind, rows kept."""
 
 import csv
+import json
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,3 +154,153 @@ def test_the_installed_command(config, tmp_path):
     bad = subprocess.run([*command, "run", "x", "--output", "y"], capture_output=True, text=True, check=False)
     assert bad.returncode == 2
     assert "Traceback" not in bad.stderr
+
+
+@pytest.mark.parametrize("flags", [("--output", "run.toml"), ("--output", "same.svg", "--plot", "same.svg")])
+def test_no_file_is_written_over_another_of_the_call(config, tmp_path, monkeypatch, capsys, flags):
+    monkeypatch.chdir(tmp_path)
+    path = config()
+    more = () if "--output" in flags else ("--output", "t.csv")
+    assert cli.main(["run", "run.toml", *flags, *more]) == cli.BAD_INPUT
+    assert "must name a file of its own" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == LINEAR
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.toml"]
+
+
+def test_links_are_followed_and_modes_kept(config, tmp_path):
+    target, link = tmp_path / "real.csv", tmp_path / "link.csv"
+    target.write_text("old", encoding="utf-8")
+    target.chmod(0o600)
+    link.symlink_to(target)
+    assert cli.main(["run", str(config()), "--output", str(link)]) == 0
+    assert link.is_symlink()
+    assert len(rows_of(target)) == 42
+    assert target.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_device_stays_a_device(config, capsys):
+    assert cli.main(["run", str(config()), "--output", "/dev/null"]) == 0
+    assert not Path("/dev/null").is_file()
+
+
+def test_rows_do_not_stay_where_the_figure_fails(config, tmp_path, monkeypatch, capsys):
+    real = cli.write_whole
+
+    def full(path, content):
+        if str(path).endswith(".svg"):
+            raise cli.InputError(f"{path} must be a writable file, got: No space left on device")
+        real(path, content)
+
+    monkeypatch.setattr(cli, "write_whole", full)
+    table = tmp_path / "t.csv"
+    call = ["run", str(config()), "--output", str(table), "--plot", str(tmp_path / "f.svg")]
+    assert cli.main(call) == cli.BAD_INPUT
+    assert not table.exists()
+
+
+@pytest.mark.parametrize(
+    ("replacements", "status"),
+    [
+        ([("1.02", "1e20"), ("steps = 42", "steps = 1000")], 3),
+        ([("1.02", "1e3"), ("steps = 42", "steps = 200")], 3),
+        ([("-10]", "1e100]")], 3),
+        ([("weight = 1.0", "weight = 1e-300")], 3),
+        ([('name = "linear"', "name = '$x_{$'")], 0),
+        ([("R = 10000.0", "R = 1e308")], 0),
+    ],
+)
+def test_extreme_runs_are_drawn_without_a_word(config, tmp_path, capsys, recwarn, replacements, status):
+    table, figure = tmp_path / "t.csv", tmp_path / "f.svg"
+    assert cli.main(["run", str(config(*replacements)), "--output", str(table), "--plot", str(figure)]) == status
+    assert capsys.readouterr().err.count("\n") == (1 if status else 0)
+    assert figure.exists()
+    assert rows_of(table)
+
+
+def test_lost_controllability_stops_the_run_and_keeps_its_rows(config, tmp_path, capsys, monkeypatch):
+    real, table = cli.simulate, tmp_path / "t.csv"
+
+    def lost(scheme, plant, z0, steps, progress):
+        real(scheme, plant, z0, 7, progress)
+        raise cli.LostControllability("no lambda")
+
+    monkeypatch.setattr(cli, "simulate", lost)
+    assert cli.main(["run", str(config()), "--output", str(table)]) == cli.STOPPED
+    assert len(rows_of(table)) == 7
+    assert "stopped at k = 7: no lambda" in capsys.readouterr().err
+
+
+def test_pdf_is_a_figure_too(tmp_path, capsys):
+    assert cli.main(["reproduce", "linear", "--plot", str(tmp_path / "f.pdf")]) == 0
+    assert (tmp_path / "f.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "y" * 5000 + "/t.csv"])
+def test_names_that_no_file_can_have(capsys, name):
+    assert cli.main(["reproduce", "linear", "--output", name]) == cli.BAD_INPUT
+    assert "--output must name a file" in capsys.readouterr().err
+
+
+def test_an_interrupt_outside_the_loop_is_one_sentence(monkeypatch, capsys):
+    def interrupted(printed=False):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.published, "linear_example", interrupted)
+    assert cli.main(["reproduce", "linear"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "rhl: interrupted\n"
+
+
+def test_a_reader_who_leaves_and_a_full_disk():
+    command = f"{sys.executable} -c 'import sys; from rhl.cli import main; sys.exit(main())' reproduce robot"
+    gone = subprocess.run(["bash", "-c", f"{command} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True)
+    assert gone.returncode in (0, cli.BROKEN_PIPE)
+    assert gone.stderr == ""
+    full = subprocess.run(["bash", "-c", f"{command} > /dev/full"], capture_output=True, text=True, check=False)
+    assert full.returncode == cli.BAD_INPUT
+    assert full.stderr == "rhl: standard output must take the table, got: No space left on device\n"
+
+
+def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
+    file = tmp_path / "ledger.json"
+    assert cli.main(["verify", "remark-4.chain", "--cases", "5", "--json", str(file)]) == 0
+    written = json.loads(file.read_text(encoding="utf-8"))
+    assert written["version"] == 1
+    assert written["seed"] == 0
+    (entry,) = written["claims"]
+    assert entry["verdict"] == "holds-corrected"
+    assert entry["control"]["tripped"] is True
+    assert set(entry) == {
+        *("id", "item", "label", "statement", "method", "cases", "worst", "tolerance", "verdict", "reason"),
+        *("control", "page", "test", "seconds"),
+    }
+    assert "remark-4.chain" in capsys.readouterr().out
+
+
+def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
+    from rhl.claims import ledger, lemma_6
+
+    honest = next(claim for claim in lemma_6.CLAIMS if claim.id == "remark-4.chain")
+    lying = replace(honest, recorded="refuted", corrected=None)
+    monkeypatch.setattr(ledger, "CLAIMS", (lying,))
+    assert cli.main(["verify", "--cases", "5"]) == 0  # without the correction it is refuted, as recorded
+    monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
+    assert cli.main(["verify", "--cases", "5"]) == cli.MISSED
+    assert "holds, NOT refuted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["lemma-99"], "ID must be one of the ledger's"),
+        (["--cases", "0"], "cases must be"),
+        (["--seed", "-1"], "seed must"),
+    ],
+)
+def test_verify_refuses(capsys, arguments, sentence):
+    assert cli.main(["verify", *arguments]) == cli.BAD_INPUT
+    assert sentence in capsys.readouterr().err
+
+
+def test_verify_lists(capsys):
+    assert cli.main(["verify", "--list", "lemma-6"]) == 0
+    assert capsys.readouterr().out.startswith("lemma-6 ")

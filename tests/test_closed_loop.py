@@ -24,6 +24,7 @@ from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, RobotArm
+from rhl.trace import simulate
 
 SEED = 2010_05891
 STEPS = 12
@@ -280,9 +281,18 @@ def test_divergence_of_the_plant_alone():
     assert caught.value.k == 2
 
 
-def test_a_diverged_output_is_refused():
-    with pytest.raises(DivergedError, match="k = 0: y must be finite, got nan"):
+def test_an_output_that_is_no_number_is_the_callers_mistake():
+    with pytest.raises(InputError, match="y must be finite, got nan"):
         step(SCHEMES["plain"], start(SCHEMES["plain"]), [np.nan])
+
+
+def test_a_batch_of_plants_may_start_from_one_state():
+    one = LinearPlant(np.array([[0.5]]), np.array([[1.0]]), np.array([[1.0]]))
+    several = LinearPlant(np.full((3, 1, 1), 0.5), one.G, one.H)
+    scheme_ = SCHEMES["plain"]
+    together, alone = simulate(scheme_, several, [1.0], 4), simulate(scheme_, one, [1.0], 4)
+    assert together.v.shape == (4, 3, 1)
+    assert np.array_equal(together.v[:, 1], alone.v)
 
 
 # What is refused
@@ -336,3 +346,16 @@ def test_uncontrollable_initial_model_is_allowed_without_a_search():
 
 def test_harmonic_decay():
     assert [HarmonicDecay(100.0)(k) for k in (0, 1, 10)] == [1.0, 1 / 101, 1 / 1001]
+
+
+@pytest.mark.parametrize("pair", ["lifted", "augmented"])
+def test_the_search_looks_at_the_pair_it_is_told_to(pair):
+    """y+ = a y + b v - a b v(k-1): controllable as a lifted pair, not as an augmented one."""
+    initial = SignalModel(np.array([[1.5]]), np.array([[1.0, -1.5]]))
+    controller = Controller(Q=1.0, R=1.0, QN=1.0, horizon=3, epsilon=HarmonicDecay(1.0))
+    parts = (DelayLifting(1, 2), ProximalEstimator(2), controller, initial)
+    if pair == "lifted":
+        assert Scheme(*parts, LambdaSearch("lifted")).mixing.pair == "lifted"
+    else:
+        with pytest.raises(InputError, match="its augmented pair must have a margin"):
+            Scheme(*parts, LambdaSearch("augmented"))

@@ -120,7 +120,7 @@ REFUSED = [
     ('kind = "linear"', 'kind = "liner"', 'plant.kind must be "linear" or "robot-arm", got \'liner\''),
     ('kind = "linear"\n', "", "plant.kind must be .* got no such key"),
     ('kind = "linear"', 'kind = "robot-arm"', "plant.F is not a known key; expected one of kind, variant, z0"),
-    ("outputs = 4", "outputs = 0", "lifting.outputs must be a whole number .* got 0"),
+    ("outputs = 4", "outputs = 0", "lifting.outputs must be a whole number from 1 to 100, .* got 0"),
     ("inputs = 4", "inputs = 1.5", "lifting.inputs must be a whole number .* got 1.5"),
     ("window = 8", "window = -1", "estimator.window must be a whole number .* got -1"),
     ("window = 8", "window = 1979-05-27", "estimator.window must be a whole number"),
@@ -148,17 +148,51 @@ REFUSED = [
     ("steps = 42", "steps = 0", "steps must be a whole number from 1 .* got 0"),
     ("steps = 42\n", "", "steps must be .* got nothing; add the key"),
     ('name = "linear"', "name = 3", "name must be a text.* got 3"),
+    ("steps = 42", "steps = 1" + "0" * 5000, "must be valid TOML, got: Exceeds the limit"),
+    ("outputs = 4", "outputs = 1000", "lifting.outputs must be a whole number from 1 to 100"),
+    ("horizon = 20", '"a b\\n\\u001b[31m" = 1\nhorizon = 20', "controller.'a b.*31m' is not a known key"),
     ("[controller]", "[controler]", "controler is not a known key; expected one of name, steps, plant"),
     ("[lifting]\noutputs = 4\ninputs = 4\n", "", "lifting must be a section, got nothing; add the section"),
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "sentence"), REFUSED)
-def test_refused(old, new, sentence):
+@pytest.mark.parametrize(("old", "new", "sentence"), REFUSED, ids=[sentence[:60] for *_, sentence in REFUSED])
+def test_refused(old, new, sentence, tmp_path):
     assert old in LINEAR
+    path = tmp_path / "run.toml"
+    path.write_text(LINEAR.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(InputError, match=sentence) as caught:
-        read(LINEAR.replace(old, new, 1)).experiment()
+        load(path).experiment()
     assert "\n" not in str(caught.value)
+    assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("alpha = 1.0", "alpha = 2.0"), ("weight = 1.0", "weight = 2.0"), ("window = 8", "window = 7")]
+)
+def test_every_number_is_heeded(old, new):
+    assert np.abs(read(LINEAR.replace(old, new)).experiment().run().v - linear_example().run().v).max() > 1e-3
+
+
+def test_a_byte_order_mark_is_no_matter(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(LINEAR, encoding="utf-8-sig")
+    assert load(path).steps == 42
+
+
+def test_a_file_beyond_all_size_is_not_read(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_bytes(b"#" * 6_000_000)
+    with pytest.raises(InputError, match="of at most 5000000 bytes"):
+        load(path)
+
+
+@pytest.mark.parametrize("value", ["1e150", "1e300"])
+def test_an_initial_model_beyond_all_range_is_no_controllable_one(value):
+    huge = f"[[{value}, 0, 0, 0], [0, {value}, 0, 0], [0, 0, {value}, 0], [0, 0, 0, {value}]]"
+    text = LINEAR.replace('"companion-of-ones"', huge).replace("mixing = 0.0", 'mixing = "search"')
+    with pytest.raises(InputError, match="must be controllable for a lambda-search"):
+        read(text).experiment()
 
 
 def test_unreachable_initial_model_is_refused_where_lambda_is_searched():

@@ -633,3 +633,27 @@ MODEL = SignalModel([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]])
 def test_refused(build, sentence):
     with pytest.raises(InputError, match=sentence):
         build()
+
+
+@pytest.mark.parametrize("miss", [1e-8, 1e-6])
+def test_a_small_miss_of_r_is_infeasible_too(miss):
+    """A mode out of reach ends at 0.5; r beside that by ten times the threshold or more is not to be had."""
+    model = SignalModel(np.array([[0.5, 0.0], [0.0, 2.0]]), np.array([[0.0], [1.0]]))
+    reachable = np.array([0.25, 3.0])
+    assert float(solve(V3(model, 1.0, 1.0, reachable, 2), [1.0, 1.0]).residual()) < 1e-14
+    with pytest.raises(InfeasibleError, match="misses r"):
+        solve(V3(model, 1.0, 1.0, reachable + np.array([miss * 10, 0.0]), 2), [1.0, 1.0])
+    with pytest.raises(InfeasibleError, match="misses r"):
+        solve(V3(model, 1.0, 1.0, [0.0, 0.0], 2), [miss * 1e3, 1.0])
+
+
+def test_a_plan_that_overflows_is_refused():
+    model = SignalModel(np.array([[1e100]]), np.array([[0.0]]))
+    with pytest.raises(InputError, match="range of floating-point numbers"):
+        solve(V1(model, 1.0, 1.0, 1.0, 1.0, 30), [1.0])
+
+
+def test_batches_that_do_not_fit_are_refused():
+    model = SignalModel(np.zeros((4, 2, 2)), np.zeros((4, 2, 1)))
+    with pytest.raises(InputError, match="leading batch axes must broadcast"):
+        solve(V1(model, 1.0, 1.0, 1.0, 1.0, 3), np.zeros((5, 2)))

@@ -105,3 +105,19 @@ def test_another_run_is_another_picture(tmp_path):
     committed = (ROOT / "book/figures/linear-example.svg").read_text(encoding="utf-8")
     fresh, kept = (coordinates(t.split('id="axes_3"')[0]) for t in (path.read_text(encoding="utf-8"), committed))
     assert len(fresh) != len(kept) or not np.allclose(fresh, kept, atol=SAME_PICTURE)
+
+
+def test_differences_and_predictions_are_drawn_as_they_are(linear):
+    figure = plotting.reproduction(linear, "linear")
+    drawn = figure.axes[2].lines[0].get_ydata()
+    assert np.allclose(drawn, np.maximum(np.abs(linear.y[:41, 0] - curve("linear_y")), 1e-17))
+    assert drawn.max() > 0.1
+    predicted = plotting.run(linear).axes[0].lines[1].get_ydata()
+    assert np.array_equal(predicted, linear.y_hat[:, 0])
+    assert not np.array_equal(predicted, linear.y[:, 0])
+
+
+@pytest.mark.parametrize(("name", "theme", "sentence"), [("f.jpeg", "light", "must end in"), ("f.svg", "foo", "theme")])
+def test_what_is_no_format_and_no_theme(linear, tmp_path, name, theme, sentence):
+    with pytest.raises(InputError, match=sentence):
+        plotting.save(lambda: plotting.run(linear), tmp_path / name, theme)

@@ -212,3 +212,14 @@ def test_divergence_keeps_the_steps_before():
 def test_refused(steps):
     with pytest.raises(InputError, match=f"steps must be a whole number of at least 1, got {steps}"):
         simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, steps)
+
+
+def test_columns_keep_the_order_of_two_outputs():
+    """The robot arm has three outputs; a column must be that output's, not another's."""
+    run = robot_arm().run()
+    columns = run.columns()
+    for i in range(3):
+        assert np.array_equal(columns[f"y{i + 1}"], run.y[:, i])
+        assert np.array_equal(columns[f"yhat{i + 1}"], run.y_hat[:, i])
+        assert np.array_equal(columns[f"z{i + 1}"], run.z[:, i])
+    assert not np.array_equal(columns["yhat1"], columns["yhat3"])
