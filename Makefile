@@ -30,9 +30,10 @@ serve: env ## show the built book on http://localhost:8000 (PORT=... for another
 	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
 	python -m http.server $(PORT) --bind localhost --directory build/_build/html
 
-verify: env ## both simulations of the paper against its published data
+verify: env ## every claim of the paper, and both simulations against its published data
 	rhl reproduce linear
 	rhl reproduce robot
+	rhl verify
 
 bench: env ## measure how fast the library is
 	pytest benchmarks --benchmark-only

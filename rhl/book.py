@@ -15,7 +15,7 @@ from rhl.published import Comparison
 if TYPE_CHECKING:
     from pandas.io.formats.style import Styler
 
-    from rhl.claims.claim import Judgement
+    from rhl.claims.claim import Claim, Judgement
 
 
 def tell(**values: float | int | str) -> None:
@@ -95,3 +95,15 @@ def _ledger_row(judgement: Judgement) -> str:
     says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
     item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
     return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'
+
+
+def findings_table(claims: Iterable[Claim]) -> str:
+    """Return what is wrong and what is right about claims as HTML for a page in ``book/``."""
+    rows = [
+        f"<tr><td>{html.escape(claim.item if claim.item != 'text' else 'In the text')}</td>"
+        f"<td>{html.escape(claim.statement)}<br>{html.escape(claim.reason)}<br>"
+        f'<a href="../{claim.page.removesuffix(".ipynb")}.html">{claim.id}</a></td></tr>'
+        for claim in claims
+    ]
+    head = "<tr><th>where</th><th>what is said, and what is found</th></tr>"
+    return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'

@@ -1,6 +1,7 @@
 """What the prose pages show as code runs, and what `rhl.book` hands to them is fit to print."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,3 +62,17 @@ def test_tables():
     assert 'class="dataframe"' in page
     assert all(entry in page for entry in ("2e-12", "1e-09", "within", "unexplained", "none"))
     assert ">1<" in table(row for row in [{"n": 1}]).to_html()
+
+
+def test_bars_in_docstrings_are_absolute_values():
+    sys.path.insert(0, str(ROOT / "book/_ext"))
+    from docstring_bars import escape_bars
+
+    lines = ["the size |x| of ``|x|`` and :math:`|x|`", ".. math:: |x|", "", "   |y|", "and |z|"]
+    assert escape_bars(lines) == [
+        r"the size \|x\| of ``|x|`` and :math:`|x|`",
+        ".. math:: |x|",
+        "",
+        "   |y|",
+        r"and \|z\|",
+    ]

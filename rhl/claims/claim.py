@@ -106,7 +106,7 @@ class Claim:
     recorded : Verdict
         What came out when the claim was entered; ``rhl verify`` fails if something else comes out.
     page : str
-        The page of the book, from its root, such as "notebooks/08-lemma-5.ipynb".
+        The page of the book, from its root, such as "notebooks/10-lemma-5.ipynb".
     test : str
         The test file, from the root.
     stated : callable, optional

@@ -19,7 +19,7 @@ from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.trace import Trace, simulate
 
-_PAGE = "notebooks/14-theorem-3.ipynb"
+_PAGE = "notebooks/13-theorem-3.ipynb"
 _TEST = "tests/claims/test_theorem_3.py"
 
 # Slow modes are still decaying when a run ends; one that does not converge ends at its peak, which is 1.

@@ -1,0 +1,302 @@
+"""Closed loops with V3, every term of (25)-(38) along them, and explicit constants for the bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.controllability import margin
+from rhl.horizon import V3, Plan, solve
+from rhl.model import PredictorMaps, SignalModel
+
+# Models below this margin are redrawn: their gains would magnify rounding, not test the proof.
+_LEAST_MARGIN = 0.2
+
+# Keeps what is exactly zero from being divided by zero.
+_TINY = 1e-200
+
+SIZES = ((1, 1, 1), (1, 2, 2), (2, 1, 3), (2, 2, 2), (3, 2, 4))
+"""The n, q, N that are drawn; N >= n as Assumption 3 asks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A system (2), signal models whose powers predict it, and terminal states r(k): a closed loop with V3.
+
+    Attributes
+    ----------
+    plant : SignalModel
+        A, B of equation (2), shapes (..., n, n), (..., n, q).
+    models : SignalModel
+        One for each k = 0 ... T, shapes (..., T+1, n, n), (..., T+1, n, q); their powers (21) are the predictor maps.
+    r : array, shape (..., T+1, n)
+        Terminal states asked for.
+    x0 : array, shape (..., n)
+        Initial state.
+    omegas : array, shape (..., T, 3)
+        The sequences omega_1, omega_2, omega_3 that bound e_1(k) in (8).
+    horizon : int
+        N.
+    """
+
+    plant: SignalModel
+    models: SignalModel
+    r: Array
+    x0: Array
+    omegas: Array
+    horizon: int
+
+    @cached_property
+    def gains(self) -> tuple[Array, Array]:
+        """The gains of Lemma 1(a), [K_1 K_2] and [K_3 K_4], by probing V3 with unit vectors in place of x and r.
+
+        Shapes (..., T+1, N+1, n, 2n) and (..., T+1, N, q, 2n).
+        """
+        n, axes = self.plant.n, self.r.ndim - 1
+        unit = np.eye(2 * n).reshape(2 * n, *[1] * axes, 2 * n)
+        plan = solve(V3(self.models, 1.0, 1.0, unit[..., n:], self.horizon), unit[..., :n])
+        return np.moveaxis(plan.x, 0, -1), np.moveaxis(plan.u, 0, -1)
+
+    @cached_property
+    def states(self) -> Array:
+        """The states x(0) ... x(T) of the closed loop, shape (..., T+1, n)."""
+        first = self.gains[1][..., 0, :, :]
+        x = [self.x0]
+        for k in range(self.r.shape[-2] - 1):
+            both = np.concatenate([x[-1], self.r[..., k, :]], axis=-1)
+            u = np.einsum("...ab,...b->...a", first[..., k, :, :], both)
+            x.append(self.plant.step(x[-1], u))
+        return np.stack(x, axis=-2)
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """What the proof of Lemma 2 speaks of, at k = 0 ... T-1 of a closed loop.
+
+    Attributes
+    ----------
+    setting : Setting
+    now, then : PredictorMaps
+        The maps at k and at k+1, shapes (..., T, N+1, n, n), (..., T, N, n, q).
+    plan, after, shifted : Plan
+        V3's solutions from x(k) to r(k); from x(k+1) to r(k+1); from x(k+1) to r~+. Weights Q = I, R = I.
+    e1 : array, shape (..., T, n)
+        The one-step error of (8).
+    tail : array, shape (..., T, N, q)
+        The old plan without its first input: nu_1 ... nu_{N-1}, 0.
+    xi_tilde : array, shape (..., T, N+1, n)
+        The new prediction under it; the last one is r~+ of (26).
+    w : array, shape (..., T, N+1, n)
+        By how much it misses the old one: xi~_i - xi_{i+1}, and for i = N r~+ - A_1(k) r.
+    """
+
+    setting: Setting
+    now: PredictorMaps
+    then: PredictorMaps
+    plan: Plan
+    after: Plan
+    shifted: Plan
+    e1: Array
+    tail: Array
+    xi_tilde: Array
+    w: Array
+
+    @property
+    def x(self) -> Array:
+        """x(k), shape (..., T, n)."""
+        return self.setting.states[..., :-1, :]
+
+    @property
+    def x_next(self) -> Array:
+        """x(k+1), shape (..., T, n)."""
+        return self.setting.states[..., 1:, :]
+
+    @property
+    def r(self) -> Array:
+        """r(k), shape (..., T, n)."""
+        return self.setting.r[..., :-1, :]
+
+    @property
+    def r_next(self) -> Array:
+        """r(k+1), shape (..., T, n)."""
+        return self.setting.r[..., 1:, :]
+
+    @cached_property
+    def S(self) -> Array:
+        """The value matrix at k+1, V3(x, r) = [x; r]' S [x; r], so S = [S_3, S_4/2; S_4'/2, S_5], (..., T, 2n, 2n)."""
+        K, L = (gain[..., 1:, :, :, :] for gain in self.setting.gains)
+        K = K[..., :-1, :, :]
+        return np.asarray(np.einsum("...iab,...iac->...bc", K, K) + np.einsum("...iab,...iac->...bc", L, L))
+
+    @cached_property
+    def scale(self) -> Array:
+        """What rounding is to be compared with, shape (..., T)."""
+        return np.asarray(self.plan.value + self.after.value + self.shifted.value + _TINY)
+
+
+def follow(setting: Setting) -> Terms:
+    """Compute the terms of (25)-(38) along the closed loop of ``setting``."""
+    N = setting.horizon
+    x, models = setting.states, setting.models
+    here = SignalModel(models.A[..., :-1, :, :], models.B[..., :-1, :, :])
+    there = SignalModel(models.A[..., 1:, :, :], models.B[..., 1:, :, :])
+    now, then = here.predictor(N), there.predictor(N)
+    plan = solve(V3(here, 1.0, 1.0, setting.r[..., :-1, :], N), x[..., :-1, :])
+    after = solve(V3(there, 1.0, 1.0, setting.r[..., 1:, :], N), x[..., 1:, :])
+    tail = np.concatenate([plan.u[..., 1:, :], np.zeros_like(plan.u[..., :1, :])], axis=-2)
+    xi_tilde = then.predict(x[..., 1:, :], tail)
+    shifted = solve(V3(there, 1.0, 1.0, xi_tilde[..., -1, :], N), x[..., 1:, :])
+    beyond = apply(now.A[..., 1, :, :], setting.r[..., :-1, :])
+    w = xi_tilde - np.concatenate([plan.x[..., 1:, :], beyond[..., None, :]], axis=-2)
+    return Terms(setting, now, then, plan, after, shifted, plan.x[..., 1, :] - x[..., 1:, :], tail, xi_tilde, w)
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Explicit constants for the bounds of the proof, for Q = I and R = I.
+
+    Attributes
+    ----------
+    alpha : array, shape (..., T, N+1, 3)
+        alpha_{i,1}, alpha_{i,2}, alpha_{i,3} of (30), and for i = N of the bound above (34).
+    beta : array, shape (..., T, 3)
+        beta_1, beta_2, beta_3 of (33); 2 r'r is part of beta_3.
+    beta4 : array, shape (..., 1)
+        beta_4 = beta_5 of (33), the arbitrarily small one.
+    gamma : array, shape (..., T, 3)
+        gamma_1, gamma_2 of (36), and the constant term gamma_3.
+    c : array, shape (..., 1)
+        With ``|Ax + Bu|^2 <= 2c (|x|^2 + |u|^2)``, above (37).
+    rho_bar : array, shape (..., 1)
+        Young's constant in (36): mu / (2c).
+    gain : array, shape (..., 1)
+        M of Assumption 5(a).
+    value : array, shape (..., 1)
+        A bound of the value matrix S(k).
+    """
+
+    alpha: Array
+    beta: Array
+    beta4: Array
+    gamma: Array
+    c: Array
+    rho_bar: Array
+    gain: Array
+    value: Array
+
+
+def bounds(t: Terms) -> Bounds:
+    """Work out the constants of (30), (33), (34), (36) and (37) from the maps, the gains and the omegas alone."""
+    setting, n, N = t.setting, t.setting.plant.n, t.setting.horizon
+    K, L = setting.gains
+    parts = [half[..., columns] for half in (K, L) for columns in (slice(None, n), slice(n, None))]
+    gain = _sup(np.max([np.max(size(part), axis=-1) for part in parts], axis=0))
+    a = np.max(size(setting.models.predictor(N).A), axis=(-1, -2))[..., None]
+    dA2 = size(t.then.A - t.now.A) ** 2
+    dB2 = np.cumsum(size(t.then.B - t.now.B) ** 2, axis=-1)
+    dB2 = np.concatenate([np.zeros_like(dA2[..., :1]), dB2], axis=-1)
+    o1, o2, o3 = (setting.omegas[..., None, j] for j in range(3))
+    M2, a2 = gain[..., None] ** 2, a[..., None] ** 2
+    drift = 6 * M2 * (dA2 + np.arange(N + 1) * dB2)
+    alpha = np.stack([3 * a2 * (o2 + 2 * M2 * o3) + drift, 6 * a2 * M2 * o3 + drift, 3 * a2 * o1 + 0 * drift], axis=-1)
+    # (33): the cross terms 2 xi'w <= eta |xi|^2 + |w|^2 / eta, |xi|^2 <= 2 M^2 (|x|^2 + |r|^2); mu = 1.
+    beta4 = np.full_like(gain, 0.25 if N > 1 else 0.0)
+    eta = 1 / (8 * gain**2 * max(N - 1, 1))
+    earlier = np.sum(alpha[..., : N - 1, :], axis=-2)
+    beta = 2 * alpha[..., N - 1, :] + (1 + 1 / eta[..., None]) * earlier
+    r2, r2_next = square(t.r), square(t.r_next)
+    beta[..., 2] += 2 * r2
+    c = size(np.concatenate([setting.plant.A, setting.plant.B], axis=-1))[..., None] ** 2 / 2
+    rho_bar = 1 / (2 * c)
+    s4, s5 = _sup(2 * size(t.S[..., :n, n:])), _sup(size(t.S[..., n:, n:]))
+    young = s4**2 / rho_bar
+    last = alpha[..., N, :]
+    constant = (s5 + young) * r2_next + 2 * young * (a**2 * r2 + last[..., 2])
+    gamma = np.stack([2 * young * last[..., 0], 2 * young * last[..., 1], constant], axis=-1)
+    return Bounds(alpha, beta, beta4, gamma, c, rho_bar, gain, _sup(size(t.S)))
+
+
+def draw(
+    rng: np.random.Generator, count: int, sizes: tuple[int, int, int], steps: int, error_decay: float = 0.6
+) -> Setting:
+    """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
+
+    Parameters
+    ----------
+    rng : Generator
+    count : int
+        How many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
+    sizes : tuple of int
+        n, q, N.
+    steps : int
+        T.
+    error_decay : float
+        The models' errors shrink by this factor a step.
+
+    Returns
+    -------
+    Setting
+    """
+    n, q, N = sizes
+    fade = error_decay ** np.arange(steps + 1)[:, None, None]
+    plants: list[tuple[Array, Array]] = []
+    models: list[SignalModel] = []
+    errors: list[tuple[Array, Array]] = []
+    while len(plants) < count:
+        A, B = rng.normal(size=(n, n)), rng.normal(size=(n, q))
+        A *= rng.uniform(0.5, 1.3) / max(float(np.max(np.abs(np.linalg.eigvals(A)))), 0.1)
+        DA, DB = 0.3 * rng.normal(size=(n, n)), 0.3 * rng.normal(size=(n, q))
+        model = SignalModel(A + fade * DA, B + fade * DB)
+        if np.min(margin(model)) > _LEAST_MARGIN:
+            plants.append((A, B))
+            models.append(model)
+            errors.append((2 * size(DA) ** 2, 2 * size(DB) ** 2))
+    k = np.arange(steps + 1)
+    kind = np.arange(count)[:, None] % 3
+    asked = np.where(kind == 0, True, k % 4 == kind - 1)
+    r = rng.normal(size=(count, 1, n)) * (0.8**k)[:, None] * asked[..., None]
+    omegas = np.zeros((count, steps, 3))
+    omegas[..., 1:] = np.array(errors)[:, None, :] * fade[:-1, 0] ** 2
+    x0 = rng.normal(size=(count, n)) * (kind != 2)
+    plant = SignalModel(np.stack([A for A, _ in plants]), np.stack([B for _, B in plants]))
+    stacked = SignalModel(np.stack([m.A for m in models]), np.stack([m.B for m in models]))
+    return Setting(plant, stacked, r, x0, omegas, N)
+
+
+def written_out(t: Terms, e: Array) -> Array:
+    """Return w_0 ... w_N by the formula (28) with the one-step error ``e``, shape (..., T, N+1, n)."""
+    dA, dB = t.then.A - t.now.A, t.then.B - t.now.B
+    # From zero, a predictor gives the sum over the inputs alone, whatever its A_i.
+    forced = PredictorMaps(t.now.A, dB).predict(np.zeros_like(t.x), t.tail)
+    through = np.einsum("...iab,...b->...ia", t.then.A, e)
+    return np.asarray(forced - through + np.einsum("...iab,...b->...ia", dA, t.plan.x[..., 1, :]))
+
+
+def at_the_end(setting: Setting) -> Array:
+    """Return the size of state and input in the last tenth of a run over their largest size, shape (...)."""
+    t = follow(setting)
+    both = np.sqrt(square(t.x) + square(t.plan.u[..., 0, :]))
+    return np.asarray(np.max(both[..., -(both.shape[-1] // 10) :], axis=-1) / np.max(both, axis=-1))
+
+
+def apply(M: Array, v: Array) -> Array:
+    """Return M v over leading axes."""
+    return np.asarray(np.einsum("...ab,...b->...a", M, v))
+
+
+def square(v: Array) -> Array:
+    """Return the squared length over the last axis."""
+    return np.asarray(np.sum(v**2, axis=-1))
+
+
+def size(M: Array) -> Array:
+    """Return the spectral norm over the last two axes."""
+    return np.asarray(np.linalg.norm(M, 2, axis=(-2, -1)))
+
+
+def _sup(sizes: Array) -> Array:
+    """Return the largest over the steps, shape (..., 1)."""
+    return np.asarray(np.max(sizes, axis=-1, keepdims=True))

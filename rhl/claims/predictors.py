@@ -1,0 +1,106 @@
+"""Predictor maps in exact arithmetic, and predictors that are right along their own closed loop only."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhl._checks import Array
+from rhl.horizon import V1, solve
+from rhl.model import SignalModel
+
+Exact = NDArray[np.object_]
+
+
+def rational(rng: np.random.Generator, *shape: int) -> Exact:
+    """Draw fractions of small numbers, as an array of exact objects."""
+    above, below = rng.integers(-9, 10, shape), rng.integers(1, 8, shape)
+    return np.array([Fraction(int(a), int(b)) for a, b in zip(above.flat, below.flat, strict=True)]).reshape(shape)
+
+
+def powers(A: Exact, B: Exact, horizon: int) -> tuple[list[Exact], list[Exact]]:
+    """Return A_0 ... A_N and B_0 ... B_{N-1} of equation (21), exactly."""
+    maps = [np.array([[Fraction(i == j) for j in range(len(A))] for i in range(len(A))])]
+    for _ in range(horizon):
+        maps.append(A @ maps[-1])
+    return maps, [M @ B for M in maps[:-1]]
+
+
+def predict(maps: tuple[list[Exact], list[Exact]], i: int, x: Exact, inputs: Exact) -> Exact:
+    """Return P_i(x, u_0, ..., u_{i-1}) by equation (5), exactly; it does not look at further inputs."""
+    A, B = maps
+    total = A[i] @ x
+    for l in range(i):
+        total = total + B[i - 1 - l] @ inputs[l]
+    return np.asarray(total)
+
+
+def commutation_gaps(
+    maps: tuple[list[Exact], list[Exact]], x: Exact, s: Exact, printed: bool = False
+) -> list[Fraction | int]:
+    """Return the differences of the three members of (7) for 0 <= i + j <= N + 1.
+
+    Parameters
+    ----------
+    maps : tuple of lists
+        A_0 ... A_N and B_0 ... B_{N-1}.
+    x : array, shape (n)
+    s : array, shape (N+1, q)
+        Inputs; s_N has a part for i + j = N + 1 only.
+    printed : bool
+        Count a map that (7) names and (5) does not have as a difference of one.
+    """
+    N = len(maps[1])
+    gaps: list[Fraction | int] = []
+    for i in range(N + 2):
+        for j in range(N + 2 - i):
+            if printed and i + j > N:
+                gaps.append(1)
+            if max(i, j) <= N:
+                after = predict(maps, j, predict(maps, i, x, s), s[i:])
+                before = predict(maps, i, predict(maps, j, x, s), s[j:])
+                gaps.extend(np.abs(after - before))
+                if i + j <= N:
+                    gaps.extend(np.abs(after - predict(maps, i + j, x, s)))
+    return gaps
+
+
+def half_blind(rng: np.random.Generator, count: int = 1) -> tuple[SignalModel, SignalModel]:
+    """Draw plants with three states and two inputs, and predictors that are right about half of that.
+
+    The plant's third state is stable and stays at zero if it starts there. The predictor is wrong about what that
+    state does, and believes that the second input does nothing, so that its plans never use it.
+
+    Returns
+    -------
+    plant, predictor : SignalModel
+        Shapes (count, 3, 3), (count, 3, 2).
+    """
+    A, B = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 3, 2))
+    A[:, 2, :2], B[:, 2] = 0.0, 0.0
+    A[:, 2, 2] = rng.uniform(-0.9, 0.9, count)
+    wrong_A, wrong_B = A.copy(), B.copy()
+    wrong_A[:, :, 2] += np.where(A[:, :, 2] > 0, 1.0, -1.0)
+    wrong_B[:, :, 1] = 0.0
+    return SignalModel(A, B), SignalModel(wrong_A, wrong_B)
+
+
+def prediction_errors(plant: SignalModel, predictor: SignalModel, x0: Array, steps: int) -> tuple[Array, Array]:
+    """Run the closed loop with V1 (Q = R = QN = 1, N = 4, Gamma/eps = (1+k) x'x).
+
+    Returns
+    -------
+    errors : array, shape (steps, ..., 5)
+        Lengths of e_i(k), i = 0 ... 4, of (8) with the planned inputs.
+    states : array, shape (steps, ..., n)
+    """
+    truth, x = plant.predictor(4), x0
+    errors, states = [], []
+    for k in range(steps):
+        plan = solve(V1(predictor, 1.0, 1.0, 1.0, (1 + k) * np.sum(x**2, axis=-1), 4), x)
+        errors.append(np.linalg.norm(plan.x - truth.predict(x, plan.u), axis=-1))
+        states.append(x)
+        x = plant.step(x, plan.u[..., 0, :])
+    return np.array(errors), np.array(states)
