@@ -75,6 +75,15 @@ def test_changed_byte_elsewhere(root, name):
     assert kept(root) == EVERYTHING
 
 
+@pytest.mark.parametrize(
+    "name", ["notebooks/.ruff_cache/0", "book/.ipynb_checkpoints/index.md", "rhl/__pycache__/x.pyc"]
+)
+def test_caches_that_tools_leave_decide_nothing(root, name):
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_text("cached")
+    assert fresh.drop_stale(root)[0] == "everything"
+
+
 def test_deleted_file(root):
     (root / "rhl/data/y.csv").unlink()
     assert kept(root) == NOTHING

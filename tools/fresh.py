@@ -29,7 +29,8 @@ def digest(root: Path, names: Iterable[str]) -> str:
         found = [root / name] if (root / name).is_file() else (root / name).rglob("*")
         files = {path.relative_to(root).as_posix(): path for path in found if path.is_file()}
         for where, path in sorted(files.items()):
-            if "__pycache__" not in path.parts:
+            # Caches that tools leave beside the files (.ruff_cache, .ipynb_checkpoints, __pycache__) decide nothing.
+            if not any(part.startswith((".", "__pycache__")) for part in Path(where).parts):
                 content = path.read_bytes()
                 sha.update(f"{where}\0{len(content)}\0".encode() + content)
     return sha.hexdigest()
