@@ -313,6 +313,33 @@ def check_bound(effort: Effort, full: bool = True) -> Evidence:
     return Evidence(len(excess), worst_of(excess), 1e-9, "rounding of the two norms")
 
 
+def weakly_reached(delta: float) -> PredictorMaps:
+    """Return the powers of A = diag(2, 0), B = (1, delta) over two steps: the second state is reached through delta."""
+    A, B = np.diag([2.0, 0.0]), np.array([[1.0], [delta]])
+    return PredictorMaps(np.stack([np.eye(2), A, A @ A]), np.stack([B, A @ B]))
+
+
+def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
+    """See how large V3's gains become while V1's stay bounded, as the second state is reached ever more weakly.
+
+    Parameters
+    ----------
+    effort : Effort
+        Not used: nothing is drawn.
+    least : float
+        The smallest delta.
+    """
+    ours, theirs = [], []
+    for delta in np.geomspace(1.0, least, 7):
+        maps = weakly_reached(float(delta))
+        for x in np.eye(2):
+            ours += [np.max(np.abs(solve(V1(maps, 1.0, 1.0, 1.0, w, 2), x).u)) for w in (1.0, 1e3, 1e6, 1e9)]
+            theirs.append(np.max(np.abs(solve(V3(maps, 1.0, 1.0, x, 2), np.zeros(2)).u)))
+    if max(ours) > 10:
+        return Evidence(len(ours), 0.0, 1e3, "V1's gains are not bounded, so that nothing is refuted")
+    return Evidence(len(theirs), float(max(theirs)), 1e3, "a hundred times the bound of V1's gains")
+
+
 def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
     """Recompute the certificate of the library's plan for a problem.
 
@@ -416,6 +443,18 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_bound,
         control=Control("maps of a lower rank", lambda effort: check_bound(effort, full=False)),
+    ),
+    _claim(
+        "assumption-5.implies",
+        "Assumption 5",
+        "new",
+        "Part (b), bounded gains of V1, implies part (a), bounded gains of V3, as the proof of Theorem 1 uses.",
+        method="numerical sampling",
+        recorded="refuted",
+        stated=check_implication,
+        control=Control("a state that is reached yet more weakly", lambda effort: check_implication(effort, 1e-5)),
+        reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
+        "V3 with respect to r grow like 1/delta. Asking for (a) along V1's loop gives (b) and what the proof needs.",
     ),
     _claim(
         "eq-3",

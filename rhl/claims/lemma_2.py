@@ -241,7 +241,7 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-2.differences",
         "Lemma 2",
         "convergenceMPC3",
-        "The maps need not converge: that they are bounded and their steps from k to k+1 go to zero is enough.",
+        "The maps need not converge: with the other assumptions, bounded maps whose steps go to zero are enough.",
         method="simulation",
         stated=check_turning,
         control=Control("a model that turns by half a radian at every step", partial(check_turning, spin=0.5)),

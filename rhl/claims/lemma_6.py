@@ -49,7 +49,7 @@ def _draw(rng: np.random.Generator, hidden_radius: float = 0.8) -> tuple[KalmanF
     return form, form.plant(T)
 
 
-def check_data(effort: Effort, first: int | None = None) -> Evidence:
+def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) -> Evidence:
     """(18) on data of random plants with uncontrollable and unobservable modes, in unknown coordinates.
 
     Parameters
@@ -57,6 +57,8 @@ def check_data(effort: Effort, first: int | None = None) -> Evidence:
     effort : Effort
     first : int, optional
         First k that is looked at; m - 1, from where the stacks are full of measurements, where omitted.
+    detune : float
+        Make the pair (55) of a plant whose input matrix is larger by that share.
     """
     rng = effort.rng("lemma-6.data")
     misfits = []
@@ -66,7 +68,7 @@ def check_data(effort: Effort, first: int | None = None) -> Evidence:
         m = form.F.shape[0] + int(rng.integers(0, 2))
         v = rng.normal(size=(m + 12, plant.q))
         y = run_open_loop(plant, rng.normal(size=plant.n), v)
-        model = signal_model(F, G, H, m)
+        model = signal_model(F, (1 + detune) * G, H, m)
         misfits.append(float(np.max(transition_misfits(model, y, v, m)[m - 1 if first is None else first :])))
     return Evidence(len(misfits), worst_of(misfits), _DATA, "rounding through O and its pseudo-inverse")
 
@@ -302,7 +304,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds-corrected",
         stated=lambda effort: check_data(effort, first=0),
         corrected=check_data,
-        control=Control("one output fewer than the observability index in the stack", lambda e: check_index(e, 1)),
+        control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
         reason=_ZERO_HISTORY,
     ),
     _claim(
@@ -425,6 +427,6 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_data,
-        control=Control("one stacked output too few", lambda effort: check_index(effort, 1)),
+        control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
     ),
 )

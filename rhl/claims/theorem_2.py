@@ -415,15 +415,15 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.ii.planned",
         "Theorem 2(ii)",
         _THEOREM,
-        "(8) holds along the inputs that are planned at k, as Assumption 4(b) has it, of which only the first is "
-        "applied.",
-        "exact arithmetic",
+        "The estimates also predict inputs that are planned and not applied, as Assumption 4(b) wants them to.",
+        "simulation",
         "refuted",
         check_planned,
         ("a plan whose second input differs yet more", partial(check_planned, second=-2.0)),
-        reason="On x = 1, A = 1, B = 1, u = 0 the estimate of B never moves, and with a second input that is planned "
-        "and not applied the two-step prediction stays wrong by a constant. Data say nothing about inputs that are "
-        "never applied. The proof of Lemma 2 needs (8) for one step only, whose input is applied; there it holds.",
+        reason="Theorem 2(ii) speaks of the applied inputs, and for those it holds. On the open-loop data x = 1, "
+        "A = 1, B = 1, u = 0 the estimate of B never moves, and with a second input that is planned and not applied "
+        "the two-step prediction stays wrong by a constant. Data say nothing about inputs that are never applied. The "
+        "proof of Lemma 2 needs (8) for one step only, whose input is applied; there it holds.",
     ),
     claim(
         "eq-47",
