@@ -6,6 +6,7 @@ import html
 import math
 import os
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,7 +76,8 @@ def ledger_table(judgements: Iterable[Judgement]) -> str:
 
 def _ledger_row(judgement: Judgement) -> str:
     claim, found = judgement.claim, judgement.evidence
-    module = claim.stated.__module__ if claim.stated else None
+    check = claim.stated.func if isinstance(claim.stated, partial) else claim.stated
+    module = check.__module__ if check else None
     links = [
         (f"../{claim.page.removesuffix('.ipynb').removesuffix('.md')}.html", "page"),
         (f"checks.html#{Path(claim.test).stem.replace('_', '-')}", "test"),

@@ -1,5 +1,6 @@
 """The ledger leaves nothing out: every numbered item has a claim, every claim a page, code and a test."""
 
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +9,9 @@ import pytest
 import yaml
 
 from rhl._checks import InputError
+from rhl.book import ledger_table
 from rhl.claims import ledger
-from rhl.claims.claim import Claim, Effort
+from rhl.claims.claim import Claim, Effort, Judgement
 
 ROOT = Path(__file__).resolve().parents[2]
 COUNTS = {"Equation": 55, "Assumption": 7, "Lemma": 6, "Theorem": 3, "Remark": 4, "Figure": 9}
@@ -85,3 +87,10 @@ def test_json_names_everything():
     assert first["control"] is None
     assert second["control"]["tripped"] is True
     assert second["tolerance"] == 0.0
+
+
+def test_rows_link_to_code_of_this_library():
+    unjudged = [Judgement(claim, claim.recorded, None, None, 0.0) for claim in ledger.CLAIMS]
+    modules = set(re.findall(r'"\.\./_modules/([^"]*)\.html"', ledger_table(unjudged)))
+    assert len(modules) > 10
+    assert all((ROOT / f"{module}.py").is_file() for module in modules)
