@@ -157,11 +157,6 @@ def positive(name: str, value: Any) -> float:
     return _in_range(name, value, 0.0, np.inf, "a positive finite number", open_low=True)
 
 
-def nonnegative(name: str, value: Any) -> float:
-    """Check a nonnegative finite number."""
-    return _in_range(name, value, 0.0, np.inf, "a nonnegative finite number", open_low=False)
-
-
 def fraction(name: str, value: Any) -> float:
     """Check a number in [0, 1)."""
     return _in_range(name, value, 0.0, 1.0, "a number in [0, 1)", open_low=False)

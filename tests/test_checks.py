@@ -13,7 +13,6 @@ from rhl._checks import (
     NotFiniteError,
     fraction,
     integer,
-    nonnegative,
     positive,
     real_array,
     square,
@@ -133,7 +132,6 @@ def test_integer_refuses(value):
     ("check", "taken", "refused", "wanted"),
     [
         (positive, [1, 0.5, 1e-300], [0, -1.0, np.inf, np.nan, True, "1", None, 1j], "a positive finite number"),
-        (nonnegative, [0, 0.5], [-1e-300, np.inf, np.nan, False], "a nonnegative finite number"),
         (fraction, [0, 0.5, 1 - 1e-16], [1, 1.0, -0.1, np.nan, False, [0.5]], r"a number in [0, 1)"),
     ],
 )
