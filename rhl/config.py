@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -48,7 +50,6 @@ _SECTIONS: dict[str, tuple[type[Section], ...]] = {
     "rough": (RoughSection,),
     "simulation": (SimulationSection,),
 }
-OPTIONAL = ("knowledge", "rough", "simulation")
 
 
 class Config(Section):
@@ -221,8 +222,74 @@ def schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema(), "title": "rhl run"}
 
 
+_EXAMPLE: dict[str, dict[str, str]] = {
+    "plant": {
+        "kind": '"linear"',
+        "F": "[[1.1, 1.0], [0.0, 0.9]]",
+        "G": "[[0.0], [1.0]]",
+        "H": "[[1.0, 0.0]]",
+        "z0": "[1.0, -1.0]",
+    },
+    "lifting": {"outputs": "2", "inputs": "2"},
+    "estimator": {
+        "window": "4",
+        "weight": "1.0",
+        "mixing": '"none"',
+        "A0": '"companion-of-ones"',
+        "B0": '"last-row-of-ones"',
+    },
+    "controller": {
+        "Q": "1.0",
+        "R": "1.0",
+        "QN": "1.0",
+        "horizon": "10",
+        "alpha": "1.0",
+        "model_delay": "0",
+        "eps_rate": "10.0",
+    },
+}
+
+
+def template(name: str) -> str:
+    """Return a file that runs as it is, with a comment for each key; keys that may be left out stand commented out.
+
+    Parameters
+    ----------
+    name : str
+        What the run is called.
+
+    Returns
+    -------
+    str
+        TOML.
+    """
+    kinds = " or ".join(str(kind.model_fields["kind"].description) for kind in PLANTS)
+    lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
+    lines += [
+        *_comment("name", Config.model_fields["name"].description),
+        f"name = {json.dumps(name, ensure_ascii=False)}",
+    ]
+    lines += [*_comment("steps", Config.model_fields["steps"].description), "steps = 60"]
+    for table, (section, *_) in _SECTIONS.items():
+        given = _EXAMPLE.get(table, {})
+        lines += ["", f"# {' '.join((section.__doc__ or '').split())}", f"[{table}]" if given else f"# [{table}]"]
+        for name, info in section.model_fields.items():
+            lines += _comment(name, kinds if name == "kind" else info.description)
+            if name in given:
+                lines.append(f"{name} = {given[name]}")
+            else:
+                lines.append(
+                    f"# {name} = {'...' if info.is_required() or info.default is None else _toml(info.default)}"
+                )
+    return "\n".join(lines) + "\n"
+
+
+def _comment(name: str, what: str | None) -> list[str]:
+    return textwrap.wrap(f"{name}: {what}", 100, initial_indent="# ", subsequent_indent="#   ")
+
+
 def _toml(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value).replace("'", '"')
+    return json.dumps(value)
 
 
 def _sentence(error: ValidationError, data: dict[str, Any]) -> str:

@@ -136,7 +136,7 @@ class ProximalEstimator:
         """
         lead, problems = self._problems(self._loss(centre, x, u, k), centre, x, u)
         theta = np.broadcast_to(model.theta, (*lead, centre.theta.shape[-1])).reshape(len(problems), -1)
-        return np.reshape([problem.distance(of)[0] for problem, of in zip(problems, theta, strict=True)], lead)
+        return np.reshape([problem.distance(of) for problem, of in zip(problems, theta, strict=True)], lead)
 
     def _loss(self, centre: SignalModel, x: Array, u: Array, k: int) -> Convex:
         n, q = centre.n, centre.q

@@ -153,7 +153,8 @@ class Knowledge:
                 f"the knowledge must be about the {theta.shape[-1]} parameters of {name}, got {self.M.shape[1]} columns"
             )
         left = np.abs(theta @ self.M.T - self.b)
-        size = np.abs(theta) @ np.abs(self.M).T + np.abs(self.b)
+        # An entry known to be zero is left at the rounding of the others, so the largest gives the measure.
+        size = np.max(np.abs(theta), axis=-1, keepdims=True) * np.sum(np.abs(self.M), axis=1) + np.abs(self.b)
         if np.any(left > _MET_RTOL * size):
             raise InputError(
                 f"{name} must satisfy what is known (M theta = b), got a violation of {left.max():.3g}; "
