@@ -70,6 +70,21 @@ def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None
     return array
 
 
+def numbers(value: Any) -> Array:
+    """Return what a user's function returned as float64, NaN and infinity included.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it holds complex numbers, which numpy would cut down to the real part, texts, which it would read, or None.
+    """
+    raw = np.asarray(value)
+    if raw.dtype.kind not in "iufO":
+        raise TypeError(f"real numbers are needed, not {_kind(raw, value)}")
+    # One by one, because numpy takes None for NaN.
+    return np.asarray(raw if raw.dtype.kind != "O" else np.frompyfunc(float, 1, 1)(raw), dtype=np.float64)
+
+
 def read_only(array: ArrayLike) -> Array:
     """Copy to a read-only float64 array, unchecked: for what the library itself has computed."""
     copy = np.array(array, dtype=np.float64)

@@ -15,6 +15,16 @@ from rhl.bregman import Convex, WeightedSquares, called
 # of a diverging run, 1e8 and more, leave it with what their squares leave of sixteen digits.
 _TOLERANCE = 1e-7
 _ITERATIONS = 60
+# A residual counts as far out on a loss where its pull is this many times what the curvature there would give.
+_STRAIGHT = 100.0
+# Newton steps after the solver, which stops at what the squares of the data leave; the last ones change nothing.
+_POLISHES = 3
+# Residuals that are 1e30 times the loss's scale are beyond what sixteen digits can tell apart.
+_MOST_HALVINGS = 100
+# Differences of a user's gradient show curvatures that are zero as this share of the others, above or below.
+_FLAT = 1e-6
+# A step this short, relative to the model, is below rounding, and what the solver is given would underflow.
+_NO_STEP = 1e-16
 
 
 class NotSolvedError(ArithmeticError):
@@ -92,19 +102,52 @@ class Proximal:
         data = self.R.T @ (bend[:, None] * self.R if bend.ndim == 1 else bend @ self.R)
         return data + (np.diag(hold) if hold.ndim == 1 else hold)
 
-    def distance(self, theta: Array) -> tuple[float, Array]:
-        """Return how far theta is from the minimiser, and the step that leads there.
+    def distance(self, theta: Array) -> float:
+        """Return how far theta is from the minimiser: the length of Newton's step, relative to theta's.
 
-        The step is Newton's; its length is taken in the generator's metric and relative to theta's. Where c and g are
-        quadratic this is the distance itself, elsewhere the distance but for terms of second order.
+        Where c and g are quadratic this is the distance itself, elsewhere the distance but for terms of second order.
         """
-        hold = self.g.hessian(theta)
-        hold = np.diag(hold) if hold.ndim == 1 else hold
-        step = self.free @ np.linalg.solve(
-            self.free.T @ self.hessian(theta) @ self.free, -self.free.T @ self.gradient(theta)
+        try:
+            length, step = self.newton(theta)
+            # On the kink of a sharp valley the step is short, wherever the minimiser is: so is the next only near it.
+            if length <= _TOLERANCE and np.all(theta + step > self.g.lower):
+                length = max(length, self.newton(theta + step)[0])
+        except np.linalg.LinAlgError:
+            return np.inf
+        return length
+
+    def newton(self, theta: Array) -> tuple[float, Array]:
+        """Return the length of Newton's step, in the generator's metric and relative to theta's, and the step.
+
+        Raises
+        ------
+        LinAlgError
+            If the loss bends down, or the generator does not bend up.
+        """
+        e, R, hold = self.s - self.R @ theta, self.R, self.g.hessian(theta)
+        bend, slope = self.c.hessian(e), self.c.gradient(e)
+        if bend.ndim == 2:
+            bend, axes = np.linalg.eigh(bend)
+            e, slope, R = axes.T @ e, axes.T @ slope, axes.T @ R
+        if np.any(bend < -_FLAT * np.max(np.abs(bend), initial=0.0)):
+            raise np.linalg.LinAlgError(f"{called(self.c)} has negative curvature, so it is not convex")
+        upper = np.linalg.cholesky(hold if hold.ndim == 2 else np.diag(hold)).T
+        # Newton's step solves a least-squares problem in eta = upper step; its normal equations would square the data.
+        directions = self.free @ np.linalg.inv(np.linalg.qr(upper @ self.free, mode="r"))
+        root = np.sqrt(np.maximum(bend, 0))
+        pulled = R @ directions
+        orthogonal, triangular = np.linalg.qr(
+            np.concatenate([root[:, None] * pulled, np.eye(directions.shape[1])]),
         )
-        size = theta @ hold @ theta
-        return float(np.sqrt(step @ hold @ step / size)) if size > 0 else float(np.linalg.norm(step)), step
+        # Only where the loss has hardly any curvature left, its pull cannot be written as root times a target.
+        bent = (bend > 0) & (np.abs(slope) <= _STRAIGHT * bend * np.abs(e))
+        target = np.where(bent, slope / np.where(bent, root, 1), 0)
+        hold_back = directions.T @ (self.g.gradient(self.centre) - self.g.gradient(theta))
+        eta = orthogonal.T @ np.concatenate([target, hold_back])
+        eta = eta + np.linalg.solve(triangular.T, pulled[~bent].T @ slope[~bent])
+        step = directions @ np.linalg.solve(triangular, eta)
+        size = float(np.linalg.norm(upper @ theta))
+        return float(np.linalg.norm(upper @ step)) / size if size > 0 else float(np.linalg.norm(step)), step
 
     def solve(self) -> Array:
         """Return the minimiser, found by scipy's trust-region method from the centre, and certified.
@@ -125,9 +168,8 @@ class Proximal:
         if not distance <= _TOLERANCE:
             # Far beyond its scale a robust loss is a sharp valley. Along c(t e) / t^2, whose scale is larger by 1/t,
             # the minimiser moves continuously; followed from a t at which the loss is nearly a square, it is found.
-            theta, largest = self.centre, np.max(np.abs(self.s - self.R @ self.centre))
-            steps = int(np.ceil(np.log2(max(largest, 1.0)))) + 10
-            for t in 0.5 ** np.arange(steps, -1, -1.0):
+            theta = self.centre
+            for t in 0.5 ** np.arange(self._halvings(), -1, -1.0):
                 theta, distance, message = replace(self, c=_Scaled(self.c, t))._descend(theta)
         if not distance <= _TOLERANCE:
             raise NotSolvedError(
@@ -136,17 +178,41 @@ class Proximal:
             )
         return theta
 
+    def _halvings(self) -> int:
+        """Return how often the residuals at the centre must be halved until the loss is nearly a square there."""
+        e, count = self.s - self.R @ self.centre, 0
+
+        def bend(at: Array) -> Array:
+            found = self.c.hessian(at)
+            return np.diagonal(found) if found.ndim == 2 else found
+
+        while count < _MOST_HALVINGS and np.any(bend(0.5**count * e) < bend(0 * e) / 2):
+            count += 1
+        return count + 4
+
     def _descend(self, start: Array) -> tuple[Array, float, str]:
         """Return scipy's answer from a starting point, its distance, and the solver's words."""
+        try:
+            distance, (_, step) = self.distance(start), self.newton(start)
+            if distance < _NO_STEP:
+                return start + step if np.all(start + step > self.g.lower) else start, distance, ""
+            try:
+                theta, message = self._trust(start, step)
+            except np.linalg.LinAlgError as error:
+                # The squares of data of 1e8 and more leave the solver a singular matrix; Newton's step needs none.
+                theta, message = start, str(error)
+            theta = self._polish(theta)
+            return theta, self.distance(theta), message
+        except np.linalg.LinAlgError as error:
+            return start, np.inf, str(error)
+
+    def _trust(self, start: Array, step: Array) -> tuple[Array, str]:
         hold = self.g.hessian(start)
         hold = np.diag(hold) if hold.ndim == 1 else hold
         # In eta the proximal term is |eta|^2 / 2 to second order, whatever the generator.
         factor = np.linalg.cholesky(self.free.T @ hold @ self.free)
         directions = solve_triangular(factor, self.free.T, lower=True).T
-        slope = directions.T @ self.gradient(start)
-        reach = float(np.linalg.norm(np.linalg.solve(directions.T @ self.hessian(start) @ directions, slope)))
-        if reach == 0:
-            return start, 0.0, ""
+        reach = float(np.sqrt(step @ hold @ step))
         found = minimize(
             lambda eta: self.value(start + directions @ eta) / reach**2,
             np.zeros(directions.shape[1]),
@@ -161,12 +227,18 @@ class Proximal:
             },
         )
         theta = start + directions @ found.x
-        distance, step = self.distance(theta)
-        if np.all(theta + step > self.g.lower):
-            polished, _ = self.distance(theta + step)
-            if polished < distance:
-                theta, distance = theta + step, polished
-        return theta, distance, found.message
+        return theta, found.message
+
+    def _polish(self, theta: Array) -> Array:
+        length, step = self.newton(theta)
+        for _ in range(_POLISHES):
+            if not np.all(theta + step > self.g.lower):
+                break
+            shorter, further = self.newton(theta + step)
+            if not shorter < length:
+                break
+            theta, length, step = theta + step, shorter, further
+        return theta
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +247,10 @@ class _Scaled:
 
     c: Convex
     t: float
+
+    @property
+    def name(self) -> str:
+        return called(self.c)
 
     @property
     def lower(self) -> float:

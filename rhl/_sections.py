@@ -166,13 +166,14 @@ class EstimatorSection(Section):
     mixing: Fraction | Literal["search", "none"] = key(
         'a number in [0, 1), the constant lambda, "none", or "search" for Lemma 5\'s search'
     )
-    A0: Matrix | Literal["companion-of-ones", "rough"] = key(
-        '"companion-of-ones" (first superdiagonal and last row ones), "rough" (from the section [rough]), or a matrix '
-        "of the order of x(k), which is N_y p without basis functions"
+    A0: Matrix | Literal["companion-of-ones", "shift-of-ones", "rough"] = key(
+        '"companion-of-ones" (first superdiagonal and last row ones), "shift-of-ones" (rows that move outputs along, '
+        'and ones), "rough" (from the section [rough]), or a matrix of the order of x(k), which is N_y p without basis '
+        "functions"
     )
-    B0: Matrix | Literal["last-row-of-ones", "eye-last-row-of-ones", "rough"] = key(
-        '"last-row-of-ones", "eye-last-row-of-ones", "rough" (from the section [rough]), or a matrix, as many rows as '
-        "A0 by (N_v q)"
+    B0: Matrix | Literal["last-row-of-ones", "eye-last-row-of-ones", "shift-of-ones", "rough"] = key(
+        '"last-row-of-ones", "eye-last-row-of-ones", "shift-of-ones" or "rough" where A0 is, or a matrix, as many rows '
+        "as A0 by (N_v q)"
     )
     loss: Literal["squares", "log-cosh", "pseudo-huber"] = key(
         '"squares", or, where outliers shall count less, "log-cosh" or "pseudo-huber"', default="squares"

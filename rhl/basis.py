@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, describe, integer
+from rhl._checks import Array, InputError, describe, integer, numbers
 
 # More features than this make a model that no window can inform and no solver handle.
 _MOST = 2000
@@ -66,8 +66,11 @@ class Polynomials:
 
     def count(self, p: int, outputs: int) -> int:
         """Return how many monomials there are."""
-        d, degrees = p * outputs, range(2, self.degree + 1)
-        number = sum(comb(d, m) if self.products_only else comb(d + m - 1, m) for m in degrees)
+        d = p * outputs
+        if self.products_only:
+            number = sum(comb(d, m) for m in range(2, min(self.degree, d) + 1))
+        else:
+            number = comb(d + self.degree, d) - d - 1  # all of degree at most m, without 1 and the outputs
         if not 1 <= number <= _MOST:
             raise InputError(
                 f"the polynomials must be 1 to {_MOST} functions, got {number} of degree at most {self.degree} in "
@@ -83,7 +86,9 @@ class Polynomials:
 
 
 _FUNCTIONS: dict[str, Callable[[Array], Array]] = {"sin": np.sin, "tanh": np.tanh, "cos": np.cos, "exp": np.exp}
-_FACTOR = re.compile(r"(?:(?P<function>[a-z]+)\()?(?P<signal>[a-z]+)(?P<index>\d+)(?:\(k(?:-(?P<delay>\d+))?\))?")
+_FACTOR = re.compile(
+    r"(?:(?P<function>[a-z]+)\()?(?P<signal>[a-z]+)(?P<index>\d+)(?:\(k(?:-(?P<delay>\d+))?\))?", re.ASCII
+)
 
 
 @dataclass(frozen=True)
@@ -156,14 +161,15 @@ class Terms:
 def _split(text: object) -> list[str]:
     if not isinstance(text, str) or not text.strip() or len(text) > 200:
         raise InputError(f"a term must be a text such as 'y1*y2' of at most 200 characters, got {describe(text)}")
-    return "".join(text.split()).split("*")
+    # Inside a factor a space may not stand between digits: "y1 2" is no y12.
+    return re.sub(r"\s*([-*^()])\s*", r"\1", text.strip()).split("*")
 
 
 def _factor(text: str, part: str) -> tuple[str, int, int, int]:
     body, _, exponent = part.partition("^")
     found = _FACTOR.match(body)
     rest = body[found.end() :] if found else ""
-    power = int(exponent) if exponent.isdecimal() and len(exponent) < 3 else 0 if "^" in part else 1
+    power = int(exponent) if re.fullmatch("[0-9]{1,2}", exponent) else 0 if "^" in part else 1
     closed = found is not None and rest == (")" if found["function"] else "")
     if found and closed and found["signal"] == "v":
         raise InputError(
@@ -232,7 +238,7 @@ class Features:
 
     def _row(self, w: Array) -> Array:
         try:
-            row = np.asarray(self.function(w), dtype=np.float64)
+            row = numbers(self.function(w))
         except Exception as error:  # whatever a user's function raises
             raise InputError(
                 f"function must take stacked outputs of shape {w.shape} and return {self.size} real numbers, "

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import approx_fprime
 
-from rhl._checks import Array, InputError, describe, positive, real_array, weight_matrix
+from rhl._checks import Array, InputError, describe, numbers, positive, real_array, weight_matrix
 
 
 class Generator(Protocol):
@@ -134,10 +134,14 @@ class LogCosh:
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""
         t = np.abs(x) / self.scale
-        # Near zero the second form would cancel, far from it the first would overflow.
-        small = np.log1p(2 * np.sinh(np.minimum(t, 1) / 2) ** 2)
-        large = t + np.log1p(np.exp(-2 * t)) - np.log(2)
-        return np.asarray(np.sum(2 * self.weight * self.scale**2 * np.where(t < 1, small, large), axis=-1))
+        # Near zero the second form would cancel, far from it the first would overflow; and nearer than 1e-8 log cosh
+        # t is t^2 / 2. As the share of t in it, neither s^2 nor t^2 need be formed, which may leave the range.
+        near = np.clip(t, 1e-8, 1)
+        small = np.where(t < 1e-8, t / 2, np.log1p(2 * np.sinh(near / 2) ** 2) / near)
+        far = np.maximum(t, 1)
+        large = 1 + (np.log1p(np.exp(-2 * far)) - np.log(2)) / far
+        share = np.where(t < 1, small, large)
+        return np.asarray(np.sum(2 * self.weight * np.abs(x) * (self.scale * share), axis=-1))
 
     def gradient(self, x: Array) -> Array:
         """Return the entries 2 w s tanh(x / s), shape (..., d)."""
@@ -315,7 +319,7 @@ class Own:
 
     def _call(self, role: str, function: Callable[[Array], Any], point: Array, shapes: list[tuple[int, ...]]) -> Array:
         try:
-            found = np.asarray(function(point), dtype=np.float64)
+            found = numbers(function(point))
         except Exception as error:  # whatever a user's function raises
             reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
             raise InputError(

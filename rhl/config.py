@@ -86,6 +86,9 @@ class Config(Section):
             initial_model = self._initial_model(plant, lifting, n, q)
         with _under("knowledge"):
             knowledge = None if self.knowledge is None else self.knowledge.knowledge(lifting, plant.p, plant.q)
+            if knowledge is not None and self.estimator.A0 == "rough":
+                # A rough model gives way to what is known for certain.
+                initial_model = knowledge.nearest(initial_model)
         with _under("controller"):
             controller = self.controller.controller()
         with _under("estimator"):
@@ -110,30 +113,35 @@ class Config(Section):
 
     def _initial_model(self, plant: Plant, lifting: DelayLifting, n: int, q: int) -> SignalModel:
         A0, B0 = self.estimator.A0, self.estimator.B0
-        if "rough" in (A0, B0):
-            return self._rough_model(plant, lifting, A0 == B0)
-        named = SignalModel.companion_of_ones(
-            n, q, "eye-last-row-of-ones" if B0 == "eye-last-row-of-ones" else "last-row-of-ones"
-        )
+        for whole in ("rough", "shift-of-ones"):
+            if whole in (A0, B0):
+                if A0 != B0:
+                    raise InputError(f'A0 and B0 must both be "{whole}" or neither, got one of them; it gives both')
+                if lifting.basis is not None:
+                    raise InputError(
+                        f'A0 must not be "{whole}" where x(k) has basis functions, got both; give matrices'
+                    )
+                return (
+                    self._rough_model(plant)
+                    if whole == "rough"
+                    else SignalModel.shift_of_ones(plant.p, lifting.outputs, plant.q, lifting.inputs)
+                )
+        eye = B0 == "eye-last-row-of-ones"
+        named = SignalModel.companion_of_ones(n, q, "eye-last-row-of-ones" if eye else "last-row-of-ones")
         A = named.A if isinstance(A0, str) else _fit("A0", A0, (n, n), "the order of x(k), square")
         B = named.B if isinstance(B0, str) else _fit("B0", B0, (n, q), "the order of x(k) by N_v q")
         return SignalModel(A, B)
 
-    def _rough_model(self, plant: Plant, lifting: DelayLifting, both: bool) -> SignalModel:
-        if not both:
-            raise InputError('A0 and B0 must both be "rough" or neither, got one of them; a rough model gives both')
+    def _rough_model(self, plant: Plant) -> SignalModel:
         if self.rough is None:
             raise InputError('A0 must be "rough" only with a section [rough], got none; add it with F, G and H')
-        if lifting.basis is not None:
-            raise InputError(
-                'A0 must not be "rough" where x(k) has basis functions, got both; give A0 and B0 as matrices'
-            )
         with _under("rough"):
-            model = self.rough.model(lifting.outputs, lifting.inputs)
-            if model.n != plant.p * lifting.outputs or model.q != plant.q * lifting.inputs:
+            model = self.rough.model(self.lifting.outputs, self.lifting.inputs)
+            p, q = model.n // self.lifting.outputs, model.q // self.lifting.inputs
+            if (p, q) != (plant.p, plant.q):
                 raise InputError(
                     f"H and G must have {plant.p} rows and {plant.q} columns, as many as the plant has outputs and "
-                    f"inputs, got {model.n // lifting.outputs} and {model.q // lifting.inputs}"
+                    f"inputs, got {p} and {q}"
                 )
             return model
 

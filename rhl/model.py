@@ -201,6 +201,38 @@ class SignalModel:
         B[-1] = 1.0
         return cls(A, B)
 
+    @classmethod
+    def shift_of_ones(cls, p: int, outputs: int, q: int, inputs: int) -> SignalModel:
+        """Build an initial model that moves stacked outputs along, and knows nothing else.
+
+        The first p rows of A and B, which predict y(k+1), are ones; the others are those of a delay lifting, which
+        ``Knowledge.shift`` holds fixed.
+
+        Parameters
+        ----------
+        p, q : int
+            Sizes of y and v.
+        outputs, inputs : int
+            How many of each are stacked.
+
+        Returns
+        -------
+        SignalModel
+            Of sizes p outputs and q inputs.
+
+        Examples
+        --------
+        >>> SignalModel.shift_of_ones(1, 2, 1, 1).A
+        array([[1., 1.],
+               [1., 0.]])
+        """
+        for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
+            integer(name, value, 1)
+        n = p * outputs
+        A, B = np.eye(n, k=-p), np.zeros((n, q * inputs))
+        A[:p], B[:p] = 1.0, 1.0
+        return cls(A, B)
+
     def step(self, x: ArrayLike, u: ArrayLike) -> Array:
         """Return A x + B u, shape (..., n), equation (18)."""
         x = real_array("x", x, (self.n,))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rhl._checks import InputError, describe, fraction, positive
+from rhl._checks import InputError, describe, fraction, numbers, positive
 
 Schedule = Callable[[int], float]
 
@@ -175,7 +175,7 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
 def _value(schedule: Schedule, k: int) -> float:
     try:
         found: Any = schedule(k)
-        value = float(found)
+        value = float(numbers(found))
     except Exception as error:  # whatever a user's function raises
         raise InputError(f"epsilon must return a number at k = {k}, got {type(error).__name__}: {error}") from error
     if not 0 < value < np.inf:

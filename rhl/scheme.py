@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from rhl._checks import Array, AssumptionWarning, InputError, describe, integer, positive, weight_matrix
-from rhl.bregman import called
+from rhl.bregman import WeightedSquares, called
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1
@@ -189,8 +189,9 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     -------
     Scheme
         :math:`N_y = N_v` = order (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit
-        weights, a horizon of twice the augmented state's size, :math:`\epsilon(k) = 1/(1+10k)`, and the paper's initial
-        model. Weights carry units: where inputs and outputs are of different size, ``dataclasses.replace`` R first.
+        weights, a horizon of twice the augmented state's size and at least 30, :math:`\epsilon(k) = 1/(1+10k)`, and the
+        paper's initial model. Weights carry units: where inputs are of another size than outputs, replace R first. The
+        generator's weight, 0.01, stands beside squares of the outputs, which it takes to be of size one.
 
     Raises
     ------
@@ -202,7 +203,7 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     n = p * order
     return Scheme(
         lifting=DelayLifting(order, order),
-        estimator=ProximalEstimator(2 * order),
-        controller=Controller(1.0, 1.0, 1.0, 2 * (n + (order - 1) * q), HarmonicDecay(10)),
+        estimator=ProximalEstimator(2 * order, generator=WeightedSquares(0.01)),
+        controller=Controller(1.0, 1.0, 1.0, max(30, 2 * (n + (order - 1) * q)), HarmonicDecay(10)),
         initial_model=SignalModel.companion_of_ones(n, q * order, "last-row-of-ones"),
     )

@@ -1,6 +1,7 @@
 """Arguments are copied, checked, and refused in one sentence that names, expects and tells what was found."""
 
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rhl._checks import (
     NotFiniteError,
     fraction,
     integer,
+    numbers,
     positive,
     real_array,
     square,
@@ -113,6 +115,22 @@ def test_weight_matrix_symmetrises_rounding():
 def test_weight_matrix_refuses(value, sentence):
     with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
         weight_matrix("Q", value, 2)
+
+
+@pytest.mark.parametrize(
+    "value", [3, 2.5, [1, 2], np.float32(1), np.nan, [np.inf], Fraction(1, 2), [Fraction(1, 4), 1]]
+)
+def test_numbers_takes_what_holds_numbers(value):
+    found = numbers(value)
+    assert found.dtype == np.float64
+    np.testing.assert_array_equal(found, np.asarray(value, dtype=np.float64))
+
+
+@pytest.mark.parametrize("value", [None, [1.0, None], "3", ["3"], 1j, np.complex128(1), [1j], True, [[1], [2, 3]]])
+def test_numbers_refuses(value):
+    """Where numpy would take NaN for None, read a text, or drop an imaginary part."""
+    with pytest.raises((TypeError, ValueError)):
+        numbers(value)
 
 
 @pytest.mark.parametrize("value", [1, 5, np.int64(2)])

@@ -1,5 +1,7 @@
 """Margins against exact rational arithmetic, and Lemma 5's search on pairs made to defeat it."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import sympy
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from rhl._checks import InputError
+from rhl.claims.lemma_5 import crossing_pairs
 from rhl.controllability import (
     ConstantMixing,
     LambdaSearch,
@@ -116,6 +119,81 @@ def test_candidates(n):
     np.testing.assert_allclose(np.diff(weights), weights[0], rtol=ROUNDING)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+def test_sharp_count(n):
+    weights = candidates(n, 0.9, "sharp")
+    assert len(weights) == n * (n + 1) // 2
+    assert 0 < weights[0] <= weights[-1] < 0.9
+    np.testing.assert_allclose(np.diff(weights), weights[0], rtol=ROUNDING)
+    assert len(weights) < len(candidates(n, 0.9))
+
+
+def adversarial(bad):
+    """A diagonal pair of order 2, not controllable at lambda = 0 and at two lambdas more, and nowhere else in (0, 1).
+
+    Its inputs vanish at 0 and at the first, its two modes cross at the second.
+    """
+    (A_u, B_u), (A_c, B_c) = crossing_pairs(2, [Fraction(0), Fraction(float(bad[0]))])
+    cross = Fraction(float(bad[1]))
+    A_u[1][1], A_c[1][1] = A_u[0][0] - cross, A_c[0][0] + 1 - cross
+    return [SignalModel(np.array(A, dtype=float), np.array(B, dtype=float)) for A, B in ((A_u, B_u), (A_c, B_c))]
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+def test_sharp_search_finds_the_one_good_candidate(rule):
+    """Two of the three candidates are bad, whichever two; the third is found."""
+    weights = candidates(2, 0.9, "sharp")
+    for good in range(3):
+        estimate, previous = adversarial(np.delete(weights, good))
+        assert margin(estimate) < ROUNDING
+        assert margin(previous) > 1e-3
+        margins = margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
+        assert np.count_nonzero(margins < ROUNDING) == 2
+        search = LambdaSearch("lifted", rule, count="sharp")
+        assert search.choose(estimate, previous, identity) == weights[good]
+
+
+@pytest.mark.parametrize("rule", ["first", "best"])
+def test_one_candidate_fewer_can_all_be_bad(rule, monkeypatch):
+    fewer = candidates(2, 0.9, "sharp")[:-1]
+    estimate, previous = adversarial(fewer)
+    search = LambdaSearch("lifted", rule, count="sharp")
+    assert search.choose(estimate, previous, identity) > 0
+    monkeypatch.setattr("rhl.controllability.candidates", lambda n, lambda_max, count: fewer)
+    with pytest.raises(LostControllability, match=r"no lambda in \(0, 0\.9\)"):
+        search.choose(estimate, previous, identity)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_sharp_search_passes_crossing_pairs(n):
+    """Of order n, with n(n+1)/2 - 1 bad lambdas inside (0, 1); B vanishes on the first candidates."""
+    weights = candidates(n, 0.9, "sharp")
+    pairs = crossing_pairs(n, [Fraction(0), *(Fraction(float(weight)) for weight in weights[: n - 1])])
+    estimate, previous = (SignalModel(np.array(A, dtype=float), np.array(B, dtype=float)) for A, B in pairs)
+    search = LambdaSearch("lifted", "first", count="sharp", least_margin=1e-12)
+    lam = search.choose(estimate, previous, identity)
+    assert lam >= weights[n - 1]
+    assert margin(estimate.mix(previous, lam)) >= 1e-12
+
+
+def test_counts_differ_in_what_is_tried():
+    """The margin is lam: best is the last candidate, which lies nearer to lambda_max the more there are."""
+    lost, good = SignalModel([[0.0]], [[0.0]]), SignalModel([[0.0]], [[1.0]])
+    assert LambdaSearch("lifted", count="sharp").choose(lost, good, identity) == 0.45
+    assert LambdaSearch("lifted", count="lemma").choose(lost, good, identity) == pytest.approx(0.675)
+
+
+def test_no_candidate_is_looked_at_where_nothing_is_lost(monkeypatch):
+    def never(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("rhl.controllability.candidates", never)
+    batch = SignalModel(np.zeros((2, 3, 1, 1)), np.ones((2, 3, 1, 1)))
+    assert np.array_equal(LambdaSearch("lifted").choose(batch, batch, identity), np.zeros((2, 3)))
+    with pytest.raises(AssertionError):
+        LambdaSearch("lifted").choose(SignalModel([[0.0]], [[0.0]]), SignalModel([[0.0]], [[1.0]]), identity)
+
+
 def chain(links):
     """A chain of integrators, controllable from its first link exactly if no link is zero."""
     return SignalModel(np.diag(links, k=-1), np.eye(len(links) + 1, 1))
@@ -191,6 +269,8 @@ def test_constant_mixing():
         (lambda: ConstantMixing(1.0), r"lam must be a number in \[0, 1\), got 1\.0"),
         (lambda: ConstantMixing(-0.1), r"lam must be a number in \[0, 1\), got -0\.1"),
         (lambda: LambdaSearch(pair="both"), "pair must be one of lifted, augmented, got 'both'"),
+        (lambda: LambdaSearch(count="few"), "count must be one of lemma, sharp, got 'few'"),
+        (lambda: candidates(2, 0.9, "all"), "count must be one of lemma, sharp, got 'all'"),
         (lambda: LambdaSearch(rule="last"), "rule must be one of first, best, got 'last'"),
         (lambda: LambdaSearch(lambda_max=1.0), r"lambda_max must be a number in \[0, 1\), got 1\.0"),
         (lambda: LambdaSearch(lambda_max=0.0), r"lambda_max must be a positive finite number, got 0\.0"),

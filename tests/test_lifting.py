@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from rhl._checks import InputError
+from rhl.basis import Features, Polynomials, Terms
 from rhl.lifting import DelayLifting, remember
 from rhl.model import SignalModel
 
@@ -98,9 +101,89 @@ def test_batches_agree_with_members():
         assert np.array_equal(states[i], lifting.augmented_state(histories[0][i], histories[1][i]))
 
 
+# Functions of the outputs beside them
+
+BASES = {
+    "none": None,
+    "squares": Polynomials(2),
+    "cubes": Polynomials(3),
+    "terms": Terms(("y1^2", "y1*y1(k-1)")),
+    "own": Features(lambda w: [w[0] * w[1], w[1] ** 2], 2),
+}
+based = pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
+
+
+@based
+def test_lifted_signal_is_stack_then_functions_of_it(basis):
+    lifting, p = DelayLifting(2, 2, basis), 2
+    history = np.random.default_rng(SEED).standard_normal((3, 6, p))
+    x = lifting.lift(history, 4)
+    assert x.shape == (3, 4, lifting.size(p))
+    for i, j in np.ndindex(3, 4):
+        w = np.concatenate([history[i, j], history[i, j + 1]])
+        expected = w if basis is None else np.concatenate([w, basis.features(w, p)])
+        assert np.array_equal(x[i, j], expected)
+    state = lifting.augmented_state(history, np.ones((3, 4, 1)))
+    assert np.array_equal(state, np.concatenate([x[:, 0], np.ones((3, 1))], axis=-1))
+    assert not np.any(lifting.lift(np.zeros((3, p)), 2))
+
+
+@settings(max_examples=30)
+@given(st.sampled_from(list(BASES)), st.integers(1, 4), st.integers(2, 3))
+def test_output_size_is_the_inverse_of_size(basis, p, outputs):
+    """And refuses every order that is no size."""
+    lifting = DelayLifting(outputs, 1, BASES[basis])
+    assert lifting.output_size(lifting.size(p)) == p
+    sizes = {lifting.size(other) for other in range(1, 5)}
+    for n in range(1, lifting.size(3)):
+        if n not in sizes:
+            with pytest.raises(InputError, match=f"must have an order that is .* {outputs}.*, got {n}$"):
+                lifting.output_size(n)
+
+
+def test_orders_with_a_basis_are_refused_by_name():
+    with pytest.raises(InputError, match=r"a multiple of outputs = 2 plus the number of basis functions, got 4"):
+        DelayLifting(2, 1, Polynomials(2)).output_size(4)
+    with pytest.raises(InputError, match=r"a multiple of outputs = 1 plus the number of basis functions, got 2"):
+        DelayLifting(1, 1, Terms(("y1*y2",))).output_size(2)  # would be p = 1, which has no y2
+
+
+def run_of_the_papers_example(steps):
+    """z1+ = z1 + z2^2 + u, z2+ = 0.5 z2 with both measured (Remark 3)."""
+    rng = np.random.default_rng(SEED)
+    z, outputs, inputs = np.array([1.0, 2.0]), [], rng.standard_normal((steps, 1))
+    for u in inputs:
+        outputs.append(z)
+        z = np.array([z[0] + z[1] ** 2 + u[0], 0.5 * z[1]])
+    return np.stack(outputs), inputs
+
+
+def misfit_of_the_best_linear_model(basis):
+    outputs, inputs = run_of_the_papers_example(12)
+    x = DelayLifting(1, 1, basis).lift(outputs[::-1], 12)[::-1]
+    rows = np.concatenate([x[:-1], inputs[:-1]], axis=1)
+    return np.max(np.abs(rows @ np.linalg.lstsq(rows, x[1:], rcond=None)[0] - x[1:]))
+
+
+def test_carlemans_embedding_of_the_papers_example():
+    basis = Terms(("y2^2",))
+    model = SignalModel([[1.0, 0.0, 1.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.25]], [[1.0], [0.0], [0.0]])
+    outputs, inputs = run_of_the_papers_example(12)
+    x = DelayLifting(1, 1, basis).lift(outputs[::-1], 12)[::-1]
+    np.testing.assert_allclose(model.step(x[:-1], inputs[:-1]), x[1:], rtol=ROUNDING, atol=ROUNDING)
+    assert misfit_of_the_best_linear_model(basis) < ROUNDING
+    # Another function of the same output, or none, leaves the best of all linear models far off.
+    assert misfit_of_the_best_linear_model(None) > 0.05
+    assert misfit_of_the_best_linear_model(Terms(("y1*y2",))) > 0.05
+
+
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
+        (lambda: DelayLifting(1, 1, "y1^2"), "basis must be Polynomials, Terms, Features or None, got 'y1"),
+        (lambda: DelayLifting(1, 1, 2), "basis must be Polynomials, Terms, Features or None, got 2"),
+        (lambda: DelayLifting(2, 1, Terms(("y2",))).size(1), "'y2' must use outputs y1 to y1 with delays up to 1"),
+        (lambda: DelayLifting(2, 1).output_size(3), "an order that is a multiple of outputs = 2, got 3"),
         (lambda: DelayLifting(0, 1), "outputs must be a whole number of at least 1, got 0"),
         (lambda: DelayLifting(1, 0), "inputs must be a whole number of at least 1, got 0"),
         (lambda: DelayLifting(1.5, 1), "outputs must be a whole number of at least 1, got 1.5"),
