@@ -238,6 +238,31 @@ def check_changing(
     )
 
 
+def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (1 + 10 * k)) -> Evidence:
+    r"""Compare :math:`x(k)^2/\epsilon(k)` of unstable scalar loops with N = 1 with :math:`R(a-1)/Q_N`.
+
+    With N = 1 and Gamma = x^2 the closed loop is x(k+1) = a R x(k) / (R + Q_N x(k)^2 / epsilon(k)), whose factor is one
+    where the terminal weight is R (a - 1) / Q_N; below that the state grows, above it falls.
+
+    Parameters
+    ----------
+    effort : Effort
+    epsilon : callable
+        The schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
+    """
+    rng = effort.rng("theorem-1.pace")
+    a = rng.uniform(1.1, 2.0, effort.cases)
+    R, QN = 10.0 ** rng.uniform(-1, 1, (2, effort.cases, 1, 1))
+    model = SignalModel(a[:, None, None], np.ones((effort.cases, 1, 1)))
+    x = rng.uniform(0.1, 1.0, effort.cases)
+    for k in range(_STEPS):
+        plan = solve(V1(model, 1.0, R, QN, x**2 / epsilon(k), 1), x[:, None])
+        x = a * x + plan.u[:, 0, 0]
+    expected = R[:, 0, 0] * (a - 1) / QN[:, 0, 0]
+    gap = np.abs(x**2 / epsilon(_STEPS) / expected - 1)
+    return Evidence(effort.cases, float(np.max(gap)), 0.05, "epsilon still falls by a part in k at every step")
+
+
 def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
     return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
 
@@ -283,6 +308,17 @@ CLAIMS: tuple[Claim, ...] = (
         by_observation=True,
         stated=lambda effort: check_rest(effort, "r"),
         control=Control("eps constant", lambda effort: check_rest(effort, "r", lambda k: 1.0)),
+    ),
+    _claim(
+        "theorem-1.pace",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "Where the horizon is too short to hold the system, the state goes to zero no faster than the root of eps(k).",
+        method="simulation",
+        recorded="observed",
+        by_observation=True,
+        stated=check_pace,
+        control=Control("eps falling by half at every step", lambda effort: check_pace(effort, lambda k: 0.5**k)),
     ),
     _claim(
         "theorem-1.changing",
