@@ -5,7 +5,9 @@ Every message is one sentence that names the offender, what was expected and wha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from numbers import Integral, Real
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -52,11 +54,14 @@ def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None
     """
     try:
         raw = np.asarray(value)
-    except (ValueError, TypeError) as error:
+    except Exception as error:  # ragged, or whatever an object's own conversion raises
         raise InputError(f"{name} must be a rectangular array of numbers, got {describe(value)}") from error
     if raw.dtype.kind not in "iuf":
         raise InputError(f"{name} must hold real numbers, got {_kind(raw, value)}")
-    array = np.array(raw, dtype=np.float64, order="C")
+    if np.ma.is_masked(value):
+        raise InputError(f"{name} must hold a number in every entry, got masked entries; fill them in")
+    with np.errstate(over="ignore"):  # what is too large for float64 becomes infinite, and is refused below
+        array = np.array(raw, dtype=np.float64, order="C", subok=False)
     if shape is not None:
         fits = array.ndim >= len(shape) and all(
             length >= 1 and want in (None, length)
@@ -82,7 +87,8 @@ def numbers(value: Any) -> Array:
     if raw.dtype.kind not in "iufO":
         raise TypeError(f"real numbers are needed, not {_kind(raw, value)}")
     # One by one, because numpy takes None for NaN.
-    return np.asarray(raw if raw.dtype.kind != "O" else np.frompyfunc(float, 1, 1)(raw), dtype=np.float64)
+    with np.errstate(over="ignore"):
+        return np.asarray(raw if raw.dtype.kind != "O" else np.frompyfunc(float, 1, 1)(raw), dtype=np.float64)
 
 
 def read_only(array: ArrayLike) -> Array:
@@ -186,11 +192,34 @@ def _in_range(name: str, value: Any, low: float, high: float, wanted: str, *, op
     # NaN fails every comparison, so it is refused by the same line.
     if not number or not ((low < value if open_low else low <= value) and value < high):
         raise InputError(f"{name} must be {wanted}, got {describe(value)}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise InputError(f"{name} must be {wanted} in the range of float64, got {describe(value)}") from None
+
+
+def choice(name: str, value: Any, options: Sequence[str]) -> None:
+    """Check that a value is one of some words."""
+    if not (isinstance(value, str) and value in options):
+        raise InputError(f"{name} must be one of {', '.join(options)}, got {describe(value)}")
+
+
+def instance(name: str, value: Any, *kinds: type) -> None:
+    """Check that a value is of one of some classes."""
+    if not isinstance(value, kinds):
+        wanted = " or a ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{name} must be a {wanted}, got {describe(value)}")
+
+
+def members(name: str, value: Any, kind: str, *needed: str) -> None:
+    """Check that a value has the members of what it is to be."""
+    missing = [member for member in needed if not hasattr(value, member)]
+    if missing:
+        raise InputError(f"{name} must be {kind}, got {describe(value)} without {missing[0]}")
 
 
 def _shape(shape: tuple[int | None, ...]) -> str:
-    inner = ", ".join("at least 1" if length is None else str(length) for length in shape)
+    inner = ", ".join("at least 1" if length is None else describe(length) for length in shape)
     return f"({inner},)" if len(shape) == 1 else f"({inner})"
 
 
@@ -198,14 +227,29 @@ def _kind(raw: NDArray[Any], value: Any) -> str:
     return "complex numbers" if raw.dtype.kind == "c" else describe(value)
 
 
+def reason(error: BaseException) -> str:
+    """Return what an error of a user's function says, on one line of at most 200 characters, for a message."""
+    try:
+        said = " ".join(str(error).split())
+    except Exception:  # an exception of the user's own may fail at this too
+        said = ""
+    said = said if said.isprintable() else ascii(said)
+    text = f"{type(error).__name__}: {said}" if said else type(error).__name__
+    return text if len(text) <= 200 else f"{text[:197]}..."
+
+
 def shown(path: object) -> str:
     """Return a file's name for a message: as it is if it prints on one line, else quoted; shortened beyond 200."""
-    text = str(path)
-    text = text if text.isprintable() else repr(text)
+    text = str(path) if isinstance(path, (str, PurePath)) else describe(path)
+    text = text if text.isprintable() else ascii(text)
     return text if len(text) <= 200 else f"{text[:197]}..."
 
 
 def describe(value: Any) -> str:
     """Return a value on one line of at most 60 characters, for a message."""
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:  # an object of the user's, or an integer of too many digits
+        text = f"a {type(value).__name__} that cannot be shown"
+    text = text if text.isprintable() else ascii(text)
     return text if len(text) <= 60 else f"{text[:57]}..."

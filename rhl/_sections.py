@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from rhl._checks import Array, InputError, describe, real_array
+from rhl._checks import Array, InputError, describe, real_array, reason, shown
 from rhl.basis import Basis, Polynomials, Terms
 from rhl.bregman import Convex, Entropy, LogCosh, PseudoHuber, WeightedSquares
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
@@ -127,8 +127,8 @@ class PythonSection(Section):
         names = _executed(self.file)
         for name in ("step", "output"):
             if name not in names:
-                raise InputError(f"file must define a function {name}, got a file without it: {self.file}")
-        return FunctionPlant(names["step"], names["output"], n=self.n, q=self.q)
+                raise InputError(f"file must define a function {name}, got a file without it: {shown(self.file)}")
+        return FunctionPlant(names["step"], names["output"], n=self.n, q=self.q, names=("step", "output"))
 
 
 PLANTS = (LinearSection, TransferSection, ReadySection, ArmSection, PythonSection)
@@ -382,11 +382,7 @@ def _executed(file: str) -> dict[str, Any]:
 
     try:
         return runpy.run_path(file)
-    except SystemExit as error:
-        _fail(file, f"SystemExit: {error}", error)
-    except Exception as error:  # whatever a user's file raises
-        _fail(file, f"{type(error).__name__}: {error}", error)
-
-
-def _fail(file: str, reason: str, error: BaseException) -> NoReturn:
-    raise InputError(f"file must be a Python file that runs, got {' '.join(reason.split())}, from {file}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's file raises, sys.exit included
+        raise InputError(f"file must be a Python file that runs, got {reason(error)}, from {shown(file)}") from error

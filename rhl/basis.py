@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, describe, integer, numbers
+from rhl._checks import Array, InputError, describe, integer, numbers, reason
 
 # More features than this make a model that no window can inform and no solver handle.
 _MOST = 2000
@@ -242,7 +242,7 @@ class Features:
         except Exception as error:  # whatever a user's function raises
             raise InputError(
                 f"function must take stacked outputs of shape {w.shape} and return {self.size} real numbers, "
-                f"got {type(error).__name__}: {error}"
+                f"got {reason(error)}"
             ) from error
         if row.shape != (self.size,):
             raise InputError(f"function must return shape ({self.size},), got {row.shape}")

@@ -10,7 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import approx_fprime
 
-from rhl._checks import Array, InputError, describe, numbers, positive, real_array, weight_matrix
+from rhl._checks import (
+    Array,
+    InputError,
+    common_batch,
+    describe,
+    members,
+    numbers,
+    positive,
+    real_array,
+    reason,
+    weight_matrix,
+)
 
 
 class Generator(Protocol):
@@ -289,6 +300,11 @@ class Own:
         lower: object = self.lower
         if isinstance(lower, bool) or not isinstance(lower, (int, float)) or not lower < np.inf:
             raise InputError(f"lower must be a number or -inf, got {describe(self.lower)}")
+        for known in ("assumption_6", "convex_in_second"):
+            if not isinstance(getattr(self, known), bool | None):
+                raise InputError(f"{known} must be True, False or None, got {describe(getattr(self, known))}")
+        if not isinstance(self.name, str):
+            raise InputError(f"name must be a text, got {describe(self.name)}")
 
     def value(self, x: Array) -> Array:
         """Return the value, shape (...); infinite outside the domain."""
@@ -321,10 +337,9 @@ class Own:
         try:
             found = numbers(function(point))
         except Exception as error:  # whatever a user's function raises
-            reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
             raise InputError(
                 f"{self.name}'s function {role!r} must take x of shape {point.shape} and return real numbers, "
-                f"got {reason}; call it with such an array to see where it fails"
+                f"got {reason(error)}; call it with such an array to see where it fails"
             ) from error
         if found.shape not in shapes:
             wanted = " or ".join(str(shape) for shape in shapes)
@@ -363,7 +378,7 @@ class Varying:
         try:
             found = self.at(k)
         except Exception as error:  # whatever a user's function raises
-            raise InputError(f"at must return the loss of step {k}, got {type(error).__name__}: {error}") from error
+            raise InputError(f"at must return the loss of step {k}, got {reason(error)}") from error
         return convex("at(k)", found)
 
 
@@ -375,13 +390,8 @@ def convex(name: str, value: Any) -> Convex:
     InputError
         If it lacks one.
     """
-    members = ("value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
-    missing = [member for member in members if not hasattr(value, member)]
-    if missing:
-        raise InputError(
-            f"{name} must be a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or Own for your own "
-            f"functions), got {describe(value)} without {missing[0]}"
-        )
+    kind = "a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or Own for your own functions)"
+    members(name, value, kind, "value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
     checked: Convex = value
     return checked
 
@@ -420,7 +430,17 @@ def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
     >>> float(divergence(WeightedSquares(), [3.0, 0.0], [0.0, 4.0]))
     25.0
     """
+    members("g", g, "a generator (WeightedSquares, Entropy, ..., or Own)", "value", "gradient")
     x, y = real_array("x", x, (None,)), real_array("y", y, (None,))
+    d, weights = x.shape[-1], np.shape(getattr(g, "weight", 1.0))
+    if y.shape[-1] != d:
+        raise InputError(f"x and y must have as many entries as each other, got {d} and {y.shape[-1]}")
+    common_batch(x=(x, 1), y=(y, 1))
+    if weights not in ((), (d,), (d, d)):
+        raise InputError(
+            f"the weights of {called(g)} must be one number or have shape ({d},) or ({d}, {d}), as x has {d} entries, "
+            f"got {weights}"
+        )
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         found = g.value(x) - g.value(y) - np.sum((x - y) * g.gradient(y), axis=-1)
     if not np.all(np.isfinite(found)):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import sys
+import threading
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +22,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from rhl import __version__, published
-from rhl._checks import AssumptionWarning, InputError, shown
+from rhl._checks import AssumptionWarning, InputError, reason, shown
 from rhl.closed_loop import DivergedError, Step
 from rhl.config import load, schema, template
 from rhl.controllability import LostControllability
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from rhl.diagnosis import Diagnosis
 
 OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
+
+_TOO_LARGE = "the run must fit into memory"
 
 
 class _Parser(argparse.ArgumentParser):
@@ -56,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         likewise.
     """
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _terminable():
             warnings.simplefilter("default", AssumptionWarning)
             warnings.showwarning = _say
             options = _parser().parse_args(arguments)
@@ -65,6 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return status
     except InputError as error:
         print(f"rhl: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except MemoryError as error:
+        print(f"rhl: {_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("rhl: interrupted", file=sys.stderr)
@@ -80,7 +87,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _say(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"rhl: warning: {message}", file=sys.stderr)
+    text = " ".join(str(message).split())
+    print(f"rhl: warning: {text if text.isprintable() else ascii(text)}", file=sys.stderr)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let a request to terminate interrupt, as Ctrl-C does, so that rows are kept."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -166,15 +187,15 @@ def _reproduce(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     experiment = load(options.config).experiment()
     _check_targets(options)
-    done, status, reason = _watched(experiment)
+    done, status, why = _watched(experiment)
     if done:
         trace = Trace(experiment.scheme, done)
         _write(options, trace, lambda: _figures().run(trace, experiment.name))
     else:
         plant = experiment.plant
         write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
-    if reason:
-        print(f"rhl: {reason}; the {len(done)} rows before it are in {options.output}", file=sys.stderr)
+    if why:
+        print(f"rhl: {why}; the {len(done)} rows before it are in {options.output}", file=sys.stderr)
     else:
         end = f"largest |z| {np.max(np.abs(trace.z[-1])):.3g}, largest |v| {np.max(np.abs(trace.v[-1])):.3g}"
         print(f"{len(done)} rows in {options.output}; at the end {end}")
@@ -184,7 +205,7 @@ def _run(options: argparse.Namespace) -> int:
 def _watched(experiment: published.Experiment) -> tuple[tuple[Step, ...], int, str]:
     """Run under a progress bar; return the steps taken, the exit status, and why it stopped early if it did."""
     done: list[Step] = []
-    status, reason = OK, ""
+    status, why = OK, ""
     with _progress(experiment.name, experiment.steps) as advance:
 
         def tick(step: Step) -> None:
@@ -194,12 +215,14 @@ def _watched(experiment: published.Experiment) -> tuple[tuple[Step, ...], int, s
         try:
             experiment.run(tick)
         except DivergedError as error:
-            status, reason = STOPPED, str(error)
+            status, why = STOPPED, str(error)
         except (LostControllability, NotSolvedError) as error:
-            status, reason = STOPPED, f"the run stopped at k = {len(done)}: {error}"
+            status, why = STOPPED, f"the run stopped at k = {len(done)}: {error}"
+        except MemoryError as error:
+            status, why = STOPPED, f"the run stopped at k = {len(done)}: {_TOO_LARGE}, got {reason(error)}"
         except KeyboardInterrupt:
-            status, reason = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
-    return tuple(done), status, reason
+            status, why = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
+    return tuple(done), status, why
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -210,14 +233,14 @@ def _check(options: argparse.Namespace) -> int:
     _tell(found, f"{experiment.name}: before a run")
     if not options.run:
         return OK if found.sound else MISSED
-    done, status, reason = _watched(experiment)
+    done, status, why = _watched(experiment)
     sound = found.sound
     if done:
         after = diagnose_run(Trace(experiment.scheme, done))
         _tell(after, f"{experiment.name}: after {len(done)} steps")
         sound = sound and after.sound
-    if reason:
-        print(f"rhl: {reason}", file=sys.stderr)
+    if why:
+        print(f"rhl: {why}", file=sys.stderr)
         return status
     return OK if sound else MISSED
 
@@ -362,8 +385,8 @@ def _check_targets(options: argparse.Namespace) -> None:
         except (OSError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{flag} must name a file that can be written, got {name}: {reason}") from None
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"{flag} must name a file that can be written, got {name}: {why}") from None
         if resolved in taken:
             raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
         if resolved.is_file() and not options.force:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, NotFiniteError, real_array
+from rhl._checks import Array, InputError, NotFiniteError, describe, instance, real_array
 from rhl.horizon import V1, Plan, solve
 from rhl.instruments import Instrument, through
 from rhl.lifting import remember
 from rhl.model import SignalModel
-from rhl.plants import Plant
+from rhl.plants import Plant, check_plant
 from rhl.scheme import Scheme
 
 
@@ -132,6 +132,7 @@ def _freeze(record: Memory | Step, *names: str, kind: type = np.float64) -> None
 
 def start(scheme: Scheme) -> Memory:
     """Return the memory before k = 0: all signals zero, the initial model."""
+    instance("scheme", scheme, Scheme)
     depth = scheme.estimator.window + 1 + max(scheme.lifting.outputs, scheme.lifting.inputs)
     return Memory(0, np.zeros((depth, scheme.p)), np.zeros((depth, scheme.q)), scheme.initial_model)
 
@@ -163,6 +164,8 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
     InputError
         If y has another size, or a function of the user's own misbehaves.
     """
+    instance("scheme", scheme, Scheme)
+    instance("memory", memory, Memory)
     y = real_array("y", y, (scheme.p,))
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -217,7 +220,11 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
     -------
     Memory
     """
+    instance("scheme", scheme, Scheme)
+    instance("done", done, Step)
     applied = done.v if v is None else real_array("v", v, (scheme.q,))
+    if applied.ndim > done.v.ndim:
+        raise InputError(f"v must have the batch axes of the step, shape {done.v.shape}, got {applied.shape}")
     v_history = remember(done.memory.v, np.broadcast_to(applied, (*done.memory.v.shape[:-2], scheme.q)))
     lifting = scheme.lifting
     x = lifting.lift(done.memory.y, 1)[..., 0, :]
@@ -268,6 +275,10 @@ def closed_loop(
     DivergedError
         If a number leaves the range of float64.
     """
+    instance("scheme", scheme, Scheme)
+    check_plant(plant)
+    if not isinstance(applied_known, bool):
+        raise InputError(f"applied_known must be True or False, got {describe(applied_known)}")
     z = real_array("z0", z0, (plant.n,))
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
@@ -315,6 +326,7 @@ def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
     Step
         ``v`` is what the scheme computes from the record up to k.
     """
+    instance("scheme", scheme, Scheme)
     y, v = real_array("y", y, (None, scheme.p)), real_array("v", v, (None, scheme.q))
     if len(y) != len(v):
         raise InputError(f"y and v must have as many rows as each other, got {len(y)} and {len(v)}")

@@ -8,7 +8,7 @@ from typing import Literal, Protocol, get_args
 
 import numpy as np
 
-from rhl._checks import Array, InputError, fraction, integer, positive
+from rhl._checks import Array, choice, fraction, instance, integer, positive
 from rhl.model import SignalModel
 
 Augment = Callable[[SignalModel], SignalModel]
@@ -20,6 +20,7 @@ class LostControllability(ArithmeticError):
 
 def controllability_matrix(model: SignalModel) -> Array:
     """Return [B, AB, ..., A^(n-1) B], shape (..., n, n q), as in the proof of Lemma 5."""
+    instance("model", model, SignalModel)
     blocks = [model.B]
     for _ in range(model.n - 1):
         blocks.append(model.A @ blocks[-1])
@@ -102,8 +103,7 @@ def candidates(n: int, lambda_max: float, count: Count = "lemma") -> Array:
     positive("lambda_max", lambda_max)
     fraction("lambda_max", lambda_max)
     n = integer("n", n, 1)
-    if count not in get_args(Count):
-        raise InputError(f"count must be one of {', '.join(get_args(Count))}, got {count!r}")
+    choice("count", count, get_args(Count))
     number = 2 * n**2 + 1 if count == "lemma" else n * (n + 1) // 2
     return lambda_max * np.arange(1, number + 1) / (number + 1)
 
@@ -148,10 +148,9 @@ class LambdaSearch:
     count: Count = "lemma"
 
     def __post_init__(self) -> None:
-        choices = (("pair", ("lifted", "augmented")), ("rule", ("first", "best")), ("count", get_args(Count)))
-        for name, options in choices:
-            if getattr(self, name) not in options:
-                raise InputError(f"{name} must be one of {', '.join(options)}, got {getattr(self, name)!r}")
+        choice("pair", self.pair, ("lifted", "augmented"))
+        choice("rule", self.rule, ("first", "best"))
+        choice("count", self.count, get_args(Count))
         positive("lambda_max", self.lambda_max)
         fraction("lambda_max", self.lambda_max)
         positive("least_margin", self.least_margin)

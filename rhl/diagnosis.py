@@ -9,12 +9,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from rhl._checks import Array, InputError
+from rhl._checks import Array, InputError, choice, instance
 from rhl.bregman import Convex, Varying, called
 from rhl.closed_loop import start, step
 from rhl.controllability import LambdaSearch, margin
 from rhl.instruments import Instrument
-from rhl.plants import LinearPlant, Plant
+from rhl.plants import LinearPlant, Plant, check_plant
 from rhl.scheme import Scheme
 from rhl.structure import Modes, detectability, linearise, observability_index, spectral_radius, stabilizability
 from rhl.trace import Trace
@@ -51,8 +51,7 @@ class Finding:
     says: str
 
     def __post_init__(self) -> None:
-        if self.verdict not in get_args(Verdict):
-            raise InputError(f"verdict must be one of {', '.join(get_args(Verdict))}, got {self.verdict!r}")
+        choice("verdict", self.verdict, get_args(Verdict))
 
 
 @dataclass(frozen=True)
@@ -105,6 +104,8 @@ def diagnose(
     >>> print(diagnose(deaf, default_scheme(1, 1, 2)).findings[1].says)
     the input does not reach the mode 1.1, which does not decay: the smallest singular value of [lambda I - F, G] is 0
     """
+    check_plant(plant)
+    instance("scheme", scheme, Scheme)
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
@@ -128,6 +129,7 @@ def diagnose_run(trace: Trace) -> Diagnosis:
     InputError
         If the trace is a batch.
     """
+    instance("trace", trace, Trace)
     if trace.y.ndim != 2:
         raise InputError(f"the trace must be of one run, got a batch of shape {trace.y.shape[1:-1]}; take one member")
     return Diagnosis((*_of_signals(trace), *_of_models(trace)))

@@ -8,7 +8,7 @@ from typing import cast
 
 import numpy as np
 
-from rhl._checks import Array, AssumptionWarning, InputError, describe, integer
+from rhl._checks import Array, AssumptionWarning, InputError, describe, instance, integer, real_array
 from rhl._proximal import NotSolvedError, Proximal, quadratic, regression
 from rhl.bregman import Convex, Varying, WeightedSquares, called, convex
 from rhl.knowledge import Knowledge
@@ -105,7 +105,7 @@ class ProximalEstimator:
         NotSolvedError
             If the answer to a problem that is not quadratic misses its certificate.
         """
-        loss = self._loss(centre, x, u, k)
+        loss, x, u = self._problem(centre, x, u, k)
         if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
             entrywise = self.knowledge is None and np.ndim(loss.weight) < 2 and np.ndim(self.generator.weight) < 2
             if entrywise:
@@ -134,12 +134,20 @@ class ProximalEstimator:
             :math:`\nabla^2 g(\theta)`: the relative distance itself where c and g are quadratic, elsewhere but for
             terms of second order. About 1e-16 is the best there is.
         """
-        lead, problems = self._problems(self._loss(centre, x, u, k), centre, x, u)
+        instance("model", model, SignalModel)
+        loss, x, u = self._problem(centre, x, u, k)
+        if (model.n, model.q) != (centre.n, centre.q):
+            raise InputError(
+                f"model must have sizes n = {centre.n}, q = {centre.q}, as the centre has, got {model.n} and {model.q}"
+            )
+        lead, problems = self._problems(loss, centre, x, u)
         theta = np.broadcast_to(model.theta, (*lead, centre.theta.shape[-1])).reshape(len(problems), -1)
         return np.reshape([problem.distance(of) for problem, of in zip(problems, theta, strict=True)], lead)
 
-    def _loss(self, centre: SignalModel, x: Array, u: Array, k: int) -> Convex:
-        n, q = centre.n, centre.q
+    def _problem(self, centre: SignalModel, x: Array, u: Array, k: int) -> tuple[Convex, Array, Array]:
+        """Check centre, x and u, and return the loss of step k with x and u."""
+        instance("centre", centre, SignalModel)
+        x, u, n, q = real_array("x", x), real_array("u", u), centre.n, centre.q
         if x.shape[-2:] != (self.window + 1, n) or u.shape[-2:] != (self.window, q):
             raise InputError(
                 f"x and u must have shapes ({self.window + 1}, {n}) and ({self.window}, {q}), "
@@ -154,7 +162,7 @@ class ProximalEstimator:
                 raise InputError(
                     f"{name} weights must be one number or have shape ({size},) or ({size}, {size}), got {shape}"
                 )
-        return loss
+        return loss, x, u
 
     def _free(self, centre: SignalModel) -> Array:
         if self.knowledge is None:

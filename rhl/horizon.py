@@ -7,7 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, NotFiniteError, common_batch, integer, read_only, real_array, weight_matrix
+from rhl._checks import (
+    Array,
+    InputError,
+    NotFiniteError,
+    common_batch,
+    instance,
+    integer,
+    read_only,
+    real_array,
+    weight_matrix,
+)
 from rhl._riccati import cost_step, least_steering
 from rhl.model import PredictorMaps, SignalModel
 
@@ -249,6 +259,7 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     part of the signal cannot be steered at all and grows along the horizon, by g say, rounding of V2 and V3 grows with
     it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
     """
+    instance("problem", problem, V1, V2, V3)
     x = real_array("x", x, (problem.model.n,))
     _check_batch(problem, x)
     try:
@@ -302,8 +313,7 @@ def condensed_hessian(problem: V1) -> Array:
     -------
     array, shape (..., N q, N q)
     """
-    if not isinstance(problem, V1):
-        raise InputError(f"problem must be a V1, got {type(problem).__name__}")
+    instance("problem", problem, V1)
     maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
     effect, size = _effect(maps), maps.horizon * maps.q
     push = effect.reshape(*effect.shape[:-2], size)
@@ -399,6 +409,7 @@ def _check_batch(problem: Problem, x: Array) -> None:
 
 
 def _check_horizon(model: Predictor, horizon: int) -> None:
+    instance("model", model, SignalModel, PredictorMaps)
     integer("horizon", horizon, 1)
     if isinstance(model, PredictorMaps) and model.horizon != horizon:
         raise InputError(f"horizon must be that of the predictor maps, {model.horizon}, got {horizon}")

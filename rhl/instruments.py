@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, describe, fraction, integer, positive, real_array
+from rhl._checks import Array, InputError, describe, fraction, integer, positive, real_array, reason
 
 # k and the signal, shape (..., size) -> the signal as it comes out, of the same shape.
 Instrument = Callable[[int, Array], ArrayLike]
@@ -156,8 +156,7 @@ def through(name: str, instrument: Instrument | None, k: int, signal: Array) -> 
         found = instrument(k, signal)
     except Exception as error:  # whatever a user's function raises
         raise InputError(
-            f"the {name} must take (k, signal) with a signal of shape {signal.shape}, "
-            f"got {type(error).__name__}: {error}"
+            f"the {name} must take (k, signal) with a signal of shape {signal.shape}, got {reason(error)}"
         ) from error
     array = real_array(f"what the {name} returns at k = {k}", found)
     if array.shape != signal.shape:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import lstsq, null_space
 
-from rhl._checks import Array, InputError, describe, integer, real_array
+from rhl._checks import Array, InputError, describe, instance, integer, numbers, real_array
 from rhl.model import SignalModel
 
 # Equalities of which this share of their own size is left over contradict each other, or the model at hand; what is
@@ -91,9 +91,12 @@ class Knowledge:
             If shapes do not fit, or an entry is infinite or no number.
         """
         try:
-            A, B = np.asarray(A, dtype=np.float64), np.asarray(B, dtype=np.float64)
-        except (ValueError, TypeError) as error:
-            raise InputError(f"A and B must hold numbers, NaN where unknown, got {describe(A)}") from error
+            found = A
+            A = numbers(found)
+            found = B
+            B = numbers(found)
+        except Exception as error:  # ragged, or whatever an object's own conversion raises
+            raise InputError(f"A and B must hold numbers, NaN where unknown, got {describe(found)}") from error
         if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A) or 0 in B.shape:
             raise InputError(f"A and B must have shapes (n, n) and (n, q), got {A.shape} and {B.shape}")
         theta = np.concatenate([A.T.ravel(), B.T.ravel()])
@@ -128,6 +131,7 @@ class Knowledge:
 
     def __and__(self, other: Knowledge) -> Knowledge:
         """Return the equalities of both."""
+        instance("what stands right of &", other, Knowledge)
         if self.M.shape[1] != other.M.shape[1]:
             raise InputError(
                 f"both must be about models of one size, got {self.M.shape[1]} and {other.M.shape[1]} parameters"
@@ -147,6 +151,7 @@ class Knowledge:
         InputError
             With the largest violation.
         """
+        instance(name, model, SignalModel)
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:
             raise InputError(
@@ -163,6 +168,7 @@ class Knowledge:
 
     def nearest(self, model: SignalModel) -> SignalModel:
         """Return the model nearest to this one, in the sum of squares, that satisfies the equalities."""
+        instance("model", model, SignalModel)
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:
             raise InputError(f"the model must have {self.M.shape[1]} parameters, got {theta.shape[-1]}")

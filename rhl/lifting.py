@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, InputError, describe, integer
+from rhl._checks import Array, InputError, describe, instance, integer, real_array
 from rhl.basis import Basis
 from rhl.model import SignalModel
 
@@ -61,6 +61,7 @@ class DelayLifting:
 
     def size(self, p: int) -> int:
         """Return n, the size of x(k), for outputs of size p."""
+        integer("p", p, 1)
         return self.outputs * p + (0 if self.basis is None else self.basis.count(p, self.outputs))
 
     def output_size(self, n: int) -> int:
@@ -71,6 +72,7 @@ class DelayLifting:
         InputError
             If there is none.
         """
+        integer("n", n, 1)
         if self.basis is None:
             p = max(n // self.outputs, 1)
         else:
@@ -100,6 +102,7 @@ class DelayLifting:
         count : int
             How many.
         """
+        y_history = real_array("y_history", y_history, (None, None))
         stack = self.window(y_history, self.outputs, count)
         if self.basis is None:
             return stack
@@ -122,7 +125,19 @@ class DelayLifting:
         Returns
         -------
         array, shape (..., count, depth * p)
+
+        Raises
+        ------
+        InputError
+            If the history has fewer rows than that takes, or a number is not a whole one in range.
         """
+        history = real_array("history", history, (None, None))
+        needed = integer("start", start, 0) + integer("count", count, 1) + integer("depth", depth, 1) - 1
+        if history.shape[-2] < needed:
+            raise InputError(
+                f"history must have at least {describe(needed)} rows for {describe(count)} stacks of {describe(depth)} "
+                f"from row {describe(start)}, got {history.shape[-2]}"
+            )
         rows = start + np.arange(count)[:, None] + np.arange(depth)[None, :]
         stacked = history[..., rows, :]
         return stacked.reshape(*stacked.shape[:-2], -1)
@@ -168,6 +183,7 @@ class DelayLifting:
         InputError
             If the columns of B are not a multiple of N_v.
         """
+        instance("model", model, SignalModel)
         if model.q % self.inputs:
             raise InputError(
                 f"the model's input size must be a multiple of inputs = {self.inputs}, which u stacks, got {model.q}"

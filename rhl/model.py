@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, common_batch, integer, real_array, square
+from rhl._checks import Array, InputError, choice, common_batch, instance, integer, real_array, square
 
 InputMatrix = Literal["last-row-of-ones", "eye-last-row-of-ones"]
 
@@ -193,8 +193,7 @@ class SignalModel:
         checked by reproducing the published curves.
         """
         n, q = integer("n", n, 1), integer("q", q, 1)
-        if inputs not in get_args(InputMatrix):
-            raise InputError(f"inputs must be one of {', '.join(get_args(InputMatrix))}, got {inputs!r}")
+        choice("inputs", inputs, get_args(InputMatrix))
         A = np.eye(n, k=1)
         A[-1] = 1.0
         B = np.zeros((n, q)) if inputs == "last-row-of-ones" else np.eye(n, q)
@@ -284,6 +283,7 @@ class SignalModel:
         InputError
             If the sizes differ or lam is outside [0, 1].
         """
+        instance("other", other, SignalModel)
         if (self.n, self.q) != (other.n, other.q):
             raise InputError(f"other must have sizes n = {self.n}, q = {self.q}, got {other.n} and {other.q}")
         lam = real_array("lam", lam)

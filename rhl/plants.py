@@ -9,7 +9,20 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, common_batch, describe, integer, positive, read_only, real_array, square
+from rhl._checks import (
+    Array,
+    InputError,
+    choice,
+    common_batch,
+    describe,
+    integer,
+    members,
+    positive,
+    read_only,
+    real_array,
+    reason,
+    square,
+)
 
 if TYPE_CHECKING:
     import control
@@ -158,12 +171,13 @@ class LinearPlant:
 
     def step(self, z: Array, v: Array) -> Array:
         """Return F z + G v, shape (..., n); InputError if z or v has another length."""
-        check_lengths(z=(z, self.n), v=(v, self.q))
+        z, v = check_lengths(z=(z, self.n), v=(v, self.q))
+        common_batch(F=(self.F, 2), z=(z, 1), v=(v, 1))
         return np.einsum("...ab,...b->...a", self.F, z) + np.einsum("...ab,...b->...a", self.G, v)
 
     def output(self, z: Array) -> Array:
         """Return H z, shape (..., p); InputError if z has another length."""
-        check_lengths(z=(z, self.n))
+        (z,) = check_lengths(z=(z, self.n))
         return np.einsum("...ab,...b->...a", self.H, z)
 
 
@@ -281,12 +295,21 @@ def _companion(numerators: list[Array], denominators: list[Array]) -> tuple[Arra
     return F, H
 
 
-def check_lengths(**vectors: tuple[Any, int]) -> None:
-    """Refuse vectors whose last axis has another length than the one beside them."""
+def check_lengths(**vectors: tuple[ArrayLike, int]) -> list[Array]:
+    """Return finite vectors as arrays; refuse those whose last axis has another length than the one beside them."""
+    arrays = []
     for name, (vector, length) in vectors.items():
-        shape = np.shape(vector)
-        if not shape or shape[-1] != length:
-            raise InputError(f"{name} must have shape (..., {length}) for this plant, got {shape}")
+        array = real_array(name, vector)
+        if array.shape[-1:] != (length,):
+            raise InputError(f"{name} must have shape (..., {length}) for this plant, got {array.shape}")
+        arrays.append(array)
+    return arrays
+
+
+def check_plant(value: Any) -> None:
+    """Refuse what is no plant."""
+    kind = "a plant (LinearPlant, FunctionPlant, or your own class with n, q, p, step and output)"
+    members("plant", value, kind, "n", "q", "p", "step", "output")
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,6 +326,8 @@ class FunctionPlant:
         Size of the state, at least 1.
     q : int
         Size of the input, at least 1.
+    names : tuple of str
+        What messages call the two functions.
 
     Attributes
     ----------
@@ -335,19 +360,19 @@ class FunctionPlant:
     measurement: Callable[[Array], ArrayLike]
     n: int
     q: int
+    names: tuple[str, str] = ("transition", "measurement")
     p: int = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "n", integer("n", self.n, 1))
         object.__setattr__(self, "q", integer("q", self.q, 1))
-        for name, form in (("transition", "(z, v)"), ("measurement", "(z)")):
-            value = getattr(self, name)
+        for name, form, value in zip(self.names, ("(z, v)", "(z)"), (self.transition, self.measurement), strict=True):
             if not callable(value):
                 raise InputError(f"{name} must be a function {name}{form}, got {describe(value)}")
         z, v = read_only(np.zeros(self.n)), read_only(np.zeros(self.q))
         found = {
-            "measurement(z)": _called("measurement(z)", self.measurement, None, z),
-            "transition(z, v)": _called("transition(z, v)", self.transition, self.n, z, v),
+            self._output_name: _called(self._output_name, self.measurement, None, z),
+            self._step_name: _called(self._step_name, self.transition, self.n, z, v),
         }
         for name, value in found.items():
             if not np.all(np.isfinite(value)):
@@ -355,7 +380,15 @@ class FunctionPlant:
                     f"{name} must be finite at z = 0, v = 0, where the scheme is to bring the plant, got "
                     f"{describe(value)}; shift the coordinates so that the wanted equilibrium is at zero"
                 )
-        object.__setattr__(self, "p", len(found["measurement(z)"]))
+        object.__setattr__(self, "p", len(found[self._output_name]))
+
+    @property
+    def _step_name(self) -> str:
+        return f"{self.names[0]}(z, v)"
+
+    @property
+    def _output_name(self) -> str:
+        return f"{self.names[1]}(z)"
 
     def step(self, z: Array, v: Array) -> Array:
         """Return the next state, shape (..., n), member by member of the batch.
@@ -378,22 +411,20 @@ class FunctionPlant:
         PlantError
             If the function raises, writes into its arguments, or returns something other than n real numbers.
         """
-        check_lengths(z=(z, self.n), v=(v, self.q))
-        z, v = np.asarray(z, dtype=np.float64), np.asarray(v, dtype=np.float64)
+        z, v = check_lengths(z=(z, self.n), v=(v, self.q))
         lead = common_batch(z=(z, 1), v=(v, 1))
         z, v = np.broadcast_to(z, (*lead, self.n)), np.broadcast_to(v, (*lead, self.q))
         out = np.empty((*lead, self.n))
         for i in np.ndindex(lead):
-            out[i] = _called("transition(z, v)", self.transition, self.n, read_only(z[i]), read_only(v[i]))
+            out[i] = _called(self._step_name, self.transition, self.n, read_only(z[i]), read_only(v[i]))
         return out
 
     def output(self, z: Array) -> Array:
         """Return the output, shape (..., p), member by member of the batch; it raises as :meth:`step` does."""
-        check_lengths(z=(z, self.n))
-        z = np.asarray(z, dtype=np.float64)
+        (z,) = check_lengths(z=(z, self.n))
         out = np.empty((*z.shape[:-1], self.p))
         for i in np.ndindex(z.shape[:-1]):
-            out[i] = _called("measurement(z)", self.measurement, self.p, read_only(z[i]))
+            out[i] = _called(self._output_name, self.measurement, self.p, read_only(z[i]))
         return out
 
 
@@ -405,18 +436,18 @@ def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *
         returned = function(*arguments)
     except OverflowError:
         return np.full(1 if length is None else length, np.inf)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's function raises, sys.exit included
         if isinstance(error, ValueError) and "read-only" in str(error):
             raise PlantError(
                 f"{name} must return {wanted} and leave its arguments alone, got an attempt to write into them; "
                 "it must return a new array, so begin with z = z.copy()"
             ) from error
-        raise PlantError(
-            f"{name} must return {wanted}, got {type(error).__name__}: {error}; try it by hand at {where}"
-        ) from error
+        raise PlantError(f"{name} must return {wanted}, got {reason(error)}; try it by hand at {where}") from error
     try:
         raw = np.asarray(returned)
-    except (ValueError, TypeError) as error:
+    except Exception as error:  # ragged, or whatever an object's own conversion raises
         raise PlantError(
             f"{name} must return {wanted}, got {describe(returned)}, which is no rectangular array; "
             "return np.array([...]) with one number for each entry"
@@ -429,7 +460,8 @@ def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *
         raise PlantError(
             f"{name} must return {wanted}, got shape {raw.shape}; return np.array([...]) with one number for each entry"
         )
-    return np.asarray(raw, dtype=np.float64)
+    with np.errstate(over="ignore"):
+        return np.asarray(raw, dtype=np.float64)
 
 
 ArmVariant = Literal["data", "printed"]
@@ -468,8 +500,7 @@ class RobotArm:
     h: float = 0.01
 
     def __post_init__(self) -> None:
-        if self.variant not in get_args(ArmVariant):
-            raise InputError(f"variant must be one of {', '.join(get_args(ArmVariant))}, got {self.variant!r}")
+        choice("variant", self.variant, get_args(ArmVariant))
         positive("h", self.h)
 
     @property
@@ -489,7 +520,8 @@ class RobotArm:
 
     def step(self, z: Array, v: Array) -> Array:
         """Return the state one step of h seconds later, shape (..., 3); InputError if z or v has another length."""
-        check_lengths(z=(z, 3), v=(v, 1))
+        z, v = check_lengths(z=(z, 3), v=(v, 1))
+        common_batch(z=(z, 1), v=(v, 1))
         a, b, c, d, e, f = _ARM_COEFFICIENTS[self.variant]
         x1, x2, x3 = z[..., 0], z[..., 1], z[..., 2]
         rate = np.stack([x2, a * x3 - b * x2 - c * np.sin(x1), -d * x3 - e * x2 + f * v[..., 0]], axis=-1)
@@ -497,5 +529,5 @@ class RobotArm:
 
     def output(self, z: Array) -> Array:
         """Return the state itself, shape (..., 3); InputError if z has another length."""
-        check_lengths(z=(z, 3))
+        (z,) = check_lengths(z=(z, 3))
         return z

@@ -8,7 +8,7 @@ from importlib import resources
 
 import numpy as np
 
-from rhl._checks import Array, InputError, real_array
+from rhl._checks import Array, InputError, choice, instance, real_array
 from rhl.closed_loop import Step, replay
 from rhl.controllability import ConstantMixing
 from rhl.estimator import ProximalEstimator
@@ -48,8 +48,7 @@ def curve(name: str) -> Array:
     -----
     Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
     """
-    if name not in list(CURVES):
-        raise InputError(f"name must be one of {', '.join(CURVES)}, got {name!r}")
+    choice("name", name, tuple(CURVES))
     with resources.files("rhl").joinpath("data", f"{name}.csv").open(encoding="utf-8") as file:
         table = np.loadtxt(file, delimiter=",", skiprows=1)
     return real_array(name, table[:, 1])
@@ -231,6 +230,7 @@ def compare_robot(trace: Trace) -> list[Comparison]:
 
 
 def _check_length(trace: Trace, steps: int, n: int) -> None:
+    instance("trace", trace, Trace)
     if len(trace) != steps or trace.z.shape != (steps, n):
         raise InputError(f"trace must be a run of {steps} steps with {n} states, got {len(trace)} steps")
 

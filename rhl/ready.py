@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from rhl._checks import Array, InputError, describe, positive, read_only, real_array
+from rhl._checks import Array, InputError, choice, common_batch, describe, positive, read_only, real_array
 from rhl.plants import LinearPlant, Plant, check_lengths
 
 Valves = Literal["minimum-phase", "nonminimum-phase"]
@@ -131,7 +131,8 @@ class CartPendulum:
 
     def step(self, z: Array, v: Array) -> Array:
         """Return the state one sampling time later, shape (..., 4); InputError if z or v has another length."""
-        check_lengths(z=(z, 4), v=(v, 1))
+        z, v = check_lengths(z=(z, 4), v=(v, 1))
+        common_batch(z=(z, 1), v=(v, 1))
         force, h = v[..., 0], self.h
         k1 = self.rate(z, force)
         k2 = self.rate(z + h / 2 * k1, force)
@@ -141,7 +142,7 @@ class CartPendulum:
 
     def output(self, z: Array) -> Array:
         """Return position and angle, shape (..., 2); InputError if z has another length."""
-        check_lengths(z=(z, 4))
+        (z,) = check_lengths(z=(z, 4))
         return z[..., [0, 2]]
 
 
@@ -159,8 +160,7 @@ _TANKS: Mapping[Valves, tuple[tuple[float, ...], tuple[float, float], tuple[floa
 
 
 def _tanks(valves: Valves) -> tuple[Array, Array, Array]:
-    if valves not in get_args(Valves):
-        raise InputError(f"valves must be one of {', '.join(get_args(Valves))}, got {valves!r}")
+    choice("valves", valves, get_args(Valves))
     levels, (k1, k2), (gamma1, gamma2) = _TANKS[valves]
     T1, T2, T3, T4 = _AREA / _OUTLET * np.sqrt(2 * np.array(levels) / _GRAVITY)
     A1, A2, A3, A4 = _AREA
@@ -336,11 +336,14 @@ def _sampled(A: Array, B: Array, C: Array, h: float) -> LinearPlant:
     """Sample dz/dt = A z + B v, y = C z with v constant over each interval of length h: exact."""
     from scipy.linalg import expm  # here, because it takes a while to load
 
-    positive("h", h)
+    h = positive("h", h)
     n, q = B.shape
     block = np.zeros((n + q, n + q))
     block[:n, :n], block[:n, n:] = A, B
-    both = expm(h * block)
+    with np.errstate(over="ignore", invalid="ignore"):
+        both = expm(h * block) if np.all(np.isfinite(h * block)) else np.full_like(block, np.inf)
+    if not np.all(np.isfinite(both)):
+        raise InputError(f"h must be a sampling time over which the plant stays finite, got {h:g}; shorten it")
     return LinearPlant(both[:n, :n], both[:n, n:], C)
 
 
@@ -439,6 +442,5 @@ def ready(name: str) -> ReadyPlant:
     >>> ready("slow-mode").outputs
     ('sensor 2 (V)',)
     """
-    if name not in tuple(READY):
-        raise InputError(f"name must be one of {', '.join(READY)}, got {name!r}; choose one of these")
+    choice("name", name, tuple(READY))
     return READY[name]()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rhl._checks import InputError, describe, fraction, numbers, positive
+from rhl._checks import InputError, describe, fraction, integer, numbers, positive, reason
 
 Schedule = Callable[[int], float]
 
@@ -162,6 +162,7 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
     InputError
         If the schedule raises, is not positive and finite at k, or is larger there than at k - 1.
     """
+    k = integer("k", k, 0)
     now = _value(schedule, k)
     if k > 0:
         before = _value(schedule, k - 1)
@@ -177,7 +178,7 @@ def _value(schedule: Schedule, k: int) -> float:
         found: Any = schedule(k)
         value = float(numbers(found))
     except Exception as error:  # whatever a user's function raises
-        raise InputError(f"epsilon must return a number at k = {k}, got {type(error).__name__}: {error}") from error
+        raise InputError(f"epsilon must return a number at k = {k}, got {reason(error)}") from error
     if not 0 < value < np.inf:
         raise InputError(f"epsilon must be positive and finite at every k, got {describe(found)} at k = {k}")
     return value

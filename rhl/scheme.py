@@ -8,7 +8,17 @@ from functools import cached_property
 
 import numpy as np
 
-from rhl._checks import Array, AssumptionWarning, InputError, describe, integer, positive, weight_matrix
+from rhl._checks import (
+    Array,
+    AssumptionWarning,
+    InputError,
+    describe,
+    instance,
+    integer,
+    positive,
+    real_array,
+    weight_matrix,
+)
 from rhl.bregman import WeightedSquares, called
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
 from rhl.estimator import ProximalEstimator
@@ -65,8 +75,12 @@ class Controller:
     def __post_init__(self) -> None:
         integer("horizon", self.horizon, 1)
         positive("alpha", self.alpha)
-        if isinstance(self.model_delay, bool) or self.model_delay not in (0, 1):
-            raise InputError(f"model_delay must be 0 or 1, got {self.model_delay!r}")
+        delay: object = self.model_delay
+        if isinstance(delay, bool) or not (isinstance(delay, int | np.integer) and delay in (0, 1)):
+            raise InputError(f"model_delay must be 0 or 1, got {describe(delay)}")
+        for name in ("Q", "R", "QN"):
+            weight = real_array(name, getattr(self, name))
+            object.__setattr__(self, name, weight if weight.ndim else float(weight))
         if not callable(self.epsilon):
             raise InputError(f"epsilon must be a function of k, got {describe(self.epsilon)}")
         if not isinstance(self.adaptive, bool):
@@ -137,8 +151,7 @@ class Scheme:
             ("controller", Controller),
             ("initial_model", SignalModel),
         ):
-            if not isinstance(getattr(self, name), kind):
-                raise InputError(f"{name} must be a {kind.__name__}, got {describe(getattr(self, name))}")
+            instance(name, getattr(self, name), kind)
         if not callable(getattr(self.mixing, "choose", None)):
             raise InputError(f"mixing must be a ConstantMixing or a LambdaSearch, got {describe(self.mixing)}")
         augmented = self.lifting.augment(self.initial_model)

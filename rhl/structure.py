@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rhl._checks import Array, InputError, integer, read_only, real_array, square
+from rhl._checks import Array, InputError, instance, integer, read_only, real_array, square
 from rhl.model import SignalModel
-from rhl.plants import LinearPlant, Plant, observable_basis
+from rhl.plants import LinearPlant, Plant, check_plant, observable_basis
 
 # The step of central differences: truncation goes with its square, rounding with its inverse, and at the cube root of
 # the machine precision both are near 4e-11 of the plant's size where its third derivatives are of that size too.
@@ -176,6 +176,7 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
     InputError
         If z or v does not fit the plant, or (z, v) is no equilibrium, or the plant is not finite near it.
     """
+    check_plant(plant)
     at_z = np.zeros(plant.n) if z is None else _vector("z", z, plant.n)
     at_v = np.zeros(plant.q) if v is None else _vector("v", v, plant.q)
     rest = real_array("the plant's step from the equilibrium", plant.step(at_z, at_v))
@@ -267,6 +268,7 @@ def observable_part(plant: LinearPlant) -> LinearPlant:
     InputError
         If H is zero, so that nothing is seen, or the plant is a batch.
     """
+    instance("plant", plant, LinearPlant)
     V, _ = observable_basis(plant.F, plant.H)
     if V.shape[1] == 0:
         raise InputError("the plant's H must not be zero, got outputs that see nothing; choose outputs that do")

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, integer, shown
+from rhl._checks import Array, InputError, describe, instance, integer, shown
 from rhl.closed_loop import DivergedError, Step, closed_loop
 from rhl.controllability import margin
 from rhl.horizon import Plan
@@ -42,6 +42,11 @@ class Trace:
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
+        instance("scheme", self.scheme, Scheme)
+        steps: Any = self.steps
+        if not isinstance(steps, (tuple, list)) or not all(isinstance(done, Step) for done in steps):
+            raise InputError(f"steps must be a tuple of Step, got {describe(steps)}")
+        object.__setattr__(self, "steps", tuple(steps))
         if not self.steps:
             raise InputError("a trace must have at least one step, got none")
 
@@ -175,9 +180,9 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
             os.chmod(name, mode)
             os.replace(name, target)
         except BaseException:
-            os.unlink(name)
+            Path(name).unlink(missing_ok=True)
             raise
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{shown(path)} must be a writable file, got: {reason}") from error
 
@@ -236,6 +241,8 @@ def simulate(
     True
     """
     integer("steps", steps, 1)
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress must be a function of a step, got {describe(progress)}")
     collected: list[Step] = []
     loop = closed_loop(scheme, plant, z0, sensor=sensor, actuator=actuator, applied_known=applied_known)
     try:
