@@ -25,6 +25,10 @@ class NotFiniteError(InputError):
     """A value is NaN or infinite."""
 
 
+class AssumptionWarning(UserWarning):
+    """What was chosen is allowed, but an assumption of the paper, which the message names, is not known to hold."""
+
+
 def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None = None) -> Array:
     """Copy to a read-only float64 array and check finiteness and trailing shape.
 

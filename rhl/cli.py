@@ -6,23 +6,26 @@ import argparse
 import json
 import os
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
 from rhl import __version__, published
-from rhl._checks import InputError, shown
+from rhl._checks import AssumptionWarning, InputError, shown
 from rhl.closed_loop import DivergedError, Step
-from rhl.config import load
+from rhl.config import load, schema, template
 from rhl.controllability import LostControllability
-from rhl.trace import Trace, header, simulate, write_whole
+from rhl.estimator import NotSolvedError
+from rhl.trace import Trace, header, write_whole
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rhl.claims.claim import Judgement
+    from rhl.diagnosis import Diagnosis
 
 OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 
@@ -47,12 +51,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0: done, and within tolerance where something is compared. 1: a tolerance is missed. 2: bad input. 3: the run
-        stopped before its end; its rows up to there are kept. 130: interrupted; likewise.
+        0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is
+        missed. 2: bad input. 3: the run stopped before its end; its rows up to there are kept. 130: interrupted;
+        likewise.
     """
     try:
-        options = _parser().parse_args(arguments)
-        status = int(options.command(options))
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", AssumptionWarning)
+            warnings.showwarning = _say
+            options = _parser().parse_args(arguments)
+            status = int(options.command(options))
         sys.stdout.flush()
         return status
     except InputError as error:
@@ -71,6 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
 
 
+def _say(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"rhl: warning: {message}", file=sys.stderr)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rhl", allow_abbrev=False, description="Receding horizon learning, the companion of arXiv 2010.05891."
@@ -83,29 +95,54 @@ def _parser() -> argparse.ArgumentParser:
     )
     reproduce.add_argument("experiment", choices=("linear", "robot"))
     reproduce.add_argument("--printed", action="store_true", help="with the settings as the paper's text prints them")
-    reproduce.add_argument("--output", type=Path, metavar="CSV", help="write the run's rows to this file")
+    reproduce.add_argument("--output", type=_path, metavar="CSV", help="write the run's rows to this file")
     reproduce.set_defaults(command=_reproduce)
 
     run = commands.add_parser("run", allow_abbrev=False, help="run the scheme on a plant of your own")
-    run.add_argument("config", type=Path, metavar="CONFIG.toml", help="what to run; the book documents every key")
-    run.add_argument("--output", type=Path, metavar="CSV", required=True, help="write the run's rows to this file")
+    run.add_argument("config", type=_path, metavar="CONFIG.toml", help="what to run; the book documents every key")
+    run.add_argument("--output", type=_path, metavar="CSV", required=True, help="write the run's rows to this file")
     run.set_defaults(command=_run)
+
+    check = commands.add_parser(
+        "check", allow_abbrev=False, help="say which assumptions a plant and its settings meet, in words"
+    )
+    check.add_argument("config", type=_path, metavar="CONFIG.toml", help="what would run")
+    check.add_argument("--run", action="store_true", help="run it too, and say how that went")
+    check.set_defaults(command=_check, output=None, plot=None)
+
+    new = commands.add_parser("new", allow_abbrev=False, help="write a commented configuration that runs as it is")
+    new.add_argument("name", metavar="NAME", help="what the run is called; written is NAME.toml")
+    new.set_defaults(command=_new, plot=None, flag="NAME")
+
+    schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
+    schema.add_argument("--output", type=_path, metavar="FILE", help="write it to this file instead")
+    schema.set_defaults(command=_schema, plot=None)
 
     verify = commands.add_parser("verify", allow_abbrev=False, help="check every claim of the paper, or some")
     verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
     verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
-    verify.add_argument("--json", type=Path, metavar="FILE", dest="output", help="write the judgements to this file")
+    verify.add_argument("--json", type=_path, metavar="FILE", dest="output", help="write the judgements to this file")
     verify.add_argument("--seed", type=int, default=0, help="where random cases come from (default: 0)")
     amount = verify.add_mutually_exclusive_group()
     amount.add_argument(
         "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
     )
     amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a first look")
-    verify.set_defaults(command=_verify, plot=None)
+    verify.set_defaults(command=_verify, plot=None, flag="--json")
 
     for command in (reproduce, run):
-        command.add_argument("--plot", type=Path, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file")
+        command.add_argument(
+            "--plot", type=_path, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
+        )
+    for command in (reproduce, run, new, schema, verify):
+        command.add_argument("--force", action="store_true", help="write over files that exist")
     return parser
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a file's name must not be empty")
+    return Path(text)
 
 
 def _reproduce(options: argparse.Namespace) -> int:
@@ -129,24 +166,9 @@ def _reproduce(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     experiment = load(options.config).experiment()
     _check_targets(options)
-    done: list[Step] = []
-    status, reason = OK, ""
-    with _progress(experiment.name, experiment.steps) as advance:
-
-        def tick(step: Step) -> None:
-            done.append(step)
-            advance()
-
-        try:
-            simulate(experiment.scheme, experiment.plant, experiment.z0, experiment.steps, tick)
-        except DivergedError as error:
-            status, reason = STOPPED, str(error)
-        except LostControllability as error:
-            status, reason = STOPPED, f"the run stopped at k = {len(done)}: {error}"
-        except KeyboardInterrupt:
-            status, reason = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
+    done, status, reason = _watched(experiment)
     if done:
-        trace = Trace(experiment.scheme, tuple(done))
+        trace = Trace(experiment.scheme, done)
         _write(options, trace, lambda: _figures().run(trace, experiment.name))
     else:
         plant = experiment.plant
@@ -157,6 +179,79 @@ def _run(options: argparse.Namespace) -> int:
         end = f"largest |z| {np.max(np.abs(trace.z[-1])):.3g}, largest |v| {np.max(np.abs(trace.v[-1])):.3g}"
         print(f"{len(done)} rows in {options.output}; at the end {end}")
     return status
+
+
+def _watched(experiment: published.Experiment) -> tuple[tuple[Step, ...], int, str]:
+    """Run under a progress bar; return the steps taken, the exit status, and why it stopped early if it did."""
+    done: list[Step] = []
+    status, reason = OK, ""
+    with _progress(experiment.name, experiment.steps) as advance:
+
+        def tick(step: Step) -> None:
+            done.append(step)
+            advance()
+
+        try:
+            experiment.run(tick)
+        except DivergedError as error:
+            status, reason = STOPPED, str(error)
+        except (LostControllability, NotSolvedError) as error:
+            status, reason = STOPPED, f"the run stopped at k = {len(done)}: {error}"
+        except KeyboardInterrupt:
+            status, reason = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
+    return tuple(done), status, reason
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rhl.diagnosis import diagnose, diagnose_run  # here, because the other commands do without
+
+    experiment = load(options.config).experiment()
+    found = diagnose(experiment.plant, experiment.scheme, sensor=experiment.sensor, actuator=experiment.actuator)
+    _tell(found, f"{experiment.name}: before a run")
+    if not options.run:
+        return OK if found.sound else MISSED
+    done, status, reason = _watched(experiment)
+    sound = found.sound
+    if done:
+        after = diagnose_run(Trace(experiment.scheme, done))
+        _tell(after, f"{experiment.name}: after {len(done)} steps")
+        sound = sound and after.sound
+    if reason:
+        print(f"rhl: {reason}", file=sys.stderr)
+        return status
+    return OK if sound else MISSED
+
+
+def _tell(diagnosis: Diagnosis, title: str) -> None:
+    table = Table(title=escape(title), title_justify="left", show_lines=False)
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("what", max_width=44)
+    table.add_column("found")
+    for finding in diagnosis.findings:
+        table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
+    _print(table, least_width=140)
+
+
+def _new(options: argparse.Namespace) -> int:
+    name = options.name.removesuffix(".toml")
+    stem = Path(name).name
+    if not stem or not stem.isprintable():
+        raise InputError(f"NAME must be the name of a file to be, got {shown(options.name)!r}")
+    options.output = Path(f"{name}.toml")
+    _check_targets(options)
+    write_whole(options.output, template(stem))
+    print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
+    return OK
+
+
+def _schema(options: argparse.Namespace) -> int:
+    text = json.dumps(schema(), indent=1)
+    if options.output is None:
+        print(text)
+        return OK
+    _check_targets(options)
+    write_whole(options.output, text + "\n")
+    return OK
 
 
 def _verify(options: argparse.Namespace) -> int:
@@ -252,7 +347,7 @@ def _check_targets(options: argparse.Namespace) -> None:
     taken = {}
     if getattr(options, "config", None):
         taken[options.config.resolve()] = "the configuration"
-    for flag, target in (("--output", options.output), ("--plot", options.plot)):
+    for flag, target in ((getattr(options, "flag", "--output"), options.output), ("--plot", options.plot)):
         if target is None:
             continue
         name = shown(target)
@@ -271,6 +366,8 @@ def _check_targets(options: argparse.Namespace) -> None:
             raise InputError(f"{flag} must name a file that can be written, got {name}: {reason}") from None
         if resolved in taken:
             raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
+        if resolved.is_file() and not options.force:
+            raise InputError(f"{flag} must name a new file, got {name}, which exists; add --force to write over it")
         if resolved.is_file() or not resolved.exists():
             taken[resolved] = f"also that of {flag}"
     if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, NotFiniteError, integer, positive, read_only, real_array, weight_matrix
-from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
-from rhl.estimator import ProximalEstimator
+from rhl._checks import Array, InputError, NotFiniteError, real_array
 from rhl.horizon import V1, Plan, solve
-from rhl.lifting import DelayLifting, remember
+from rhl.instruments import Instrument, through
+from rhl.lifting import remember
 from rhl.model import SignalModel
 from rhl.plants import Plant
+from rhl.scheme import Scheme
 
 
 class DivergedError(ArithmeticError):
@@ -37,142 +37,6 @@ class DivergedError(ArithmeticError):
         self.steps = steps
 
 
-@dataclass(frozen=True)
-class HarmonicDecay:
-    r"""The schedule :math:`\epsilon(k) = 1 / (1 + \eta k)` of Section VI.
-
-    Parameters
-    ----------
-    rate : float
-        :math:`\eta`, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
-
-    Raises
-    ------
-    InputError
-        If the rate is not positive; epsilon has to tend to zero (Theorem 1).
-    """
-
-    rate: float
-
-    def __post_init__(self) -> None:
-        positive("rate", self.rate)
-
-    def __call__(self, k: int) -> float:
-        """Return epsilon(k)."""
-        return 1.0 / (1.0 + self.rate * k)
-
-
-@dataclass(frozen=True, eq=False)
-class Controller:
-    r"""What V1 is set up with at every step, Assumption 3 and Theorem 1.
-
-    Parameters
-    ----------
-    Q, QN : float or array_like, shape (n', n')
-        Stage and terminal weight on the augmented state; a number is that times the identity.
-    R : float or array_like, shape (q, q)
-        Input weight.
-    horizon : int
-        N, at least 1. The theory asks for N at least n'.
-    epsilon : callable
-        k -> epsilon(k) > 0.
-    alpha : float
-        :math:`\Gamma(x) = \alpha x^\top x`, positive (Theorem 1).
-    model_delay : {0, 1}
-        0: use the estimate of this step, theta~(k). 1: use that of the step before, theta~(k-1), as the published data
-        do.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range.
-    """
-
-    Q: Array | float
-    R: Array | float
-    QN: Array | float
-    horizon: int
-    epsilon: Callable[[int], float]
-    alpha: float = 1.0
-    model_delay: int = 0
-
-    def __post_init__(self) -> None:
-        integer("horizon", self.horizon, 1)
-        positive("alpha", self.alpha)
-        if isinstance(self.model_delay, bool) or self.model_delay not in (0, 1):
-            raise InputError(f"model_delay must be 0 or 1, got {self.model_delay!r}")
-        if not callable(self.epsilon):
-            raise InputError(f"epsilon must be a function of k, got {self.epsilon!r}")
-
-    def problem(self, model: SignalModel, x: Array, k: int) -> V1:
-        """Set up V1 for the augmented model and state, equation (3)."""
-        epsilon = self.epsilon(k)
-        if not epsilon > 0:
-            raise InputError(f"epsilon must be positive at every k, got {epsilon} at k = {k}")
-        weight = self.alpha * np.sum(x**2, axis=-1) / epsilon
-        return V1(model, self.Q, self.R, self.QN, weight, self.horizon)
-
-
-@dataclass(frozen=True, eq=False)
-class Scheme:
-    """Receding horizon learning: everything that is chosen before the loop is closed.
-
-    Parameters
-    ----------
-    lifting : DelayLifting
-        How x and u are made of y and v.
-    estimator : ProximalEstimator
-        Equation (15).
-    controller : Controller
-        Equation (3).
-    initial_model : SignalModel
-        theta~(0), lifted; controllable (Theorem 2(iii)).
-    mixing : ConstantMixing or LambdaSearch
-        How lambda_k is chosen.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit each other, or the mixing is a search and the initial model is not controllable.
-    """
-
-    lifting: DelayLifting
-    estimator: ProximalEstimator
-    controller: Controller
-    initial_model: SignalModel
-    mixing: Mixing = field(default_factory=ConstantMixing)
-
-    def __post_init__(self) -> None:
-        augmented = self.lifting.augment(self.initial_model)
-        if self.initial_model.n % self.lifting.outputs:
-            raise InputError(
-                f"the initial model's A must have an order that is a multiple of outputs = {self.lifting.outputs}, "
-                f"got {self.initial_model.n}"
-            )
-        weight_matrix("Q", self.controller.Q, augmented.n)
-        weight_matrix("R", self.controller.R, augmented.q)
-        weight_matrix("QN", self.controller.QN, augmented.n)
-        if isinstance(self.mixing, LambdaSearch):
-            model = augmented if self.mixing.pair == "augmented" else self.initial_model
-            least = np.min(margin(model))
-            if not least >= self.mixing.least_margin:
-                raise InputError(
-                    "the initial model must be controllable for a lambda-search: "
-                    f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
-                    f"got {least:.3g}"
-                )
-
-    @property
-    def p(self) -> int:
-        """Size of the output y."""
-        return self.initial_model.n // self.lifting.outputs
-
-    @property
-    def q(self) -> int:
-        """Size of the input v."""
-        return self.initial_model.q // self.lifting.inputs
-
-
 @dataclass(frozen=True, eq=False)
 class Memory:
     """What the scheme carries from one step to the next.
@@ -189,6 +53,10 @@ class Memory:
         theta~(k-1).
     y_hat : array, shape (..., p), or None
         The prediction of y(k) made at k-1.
+    stage : array of int, shape (...), or None
+        The stage j(k-1) of an adaptive terminal weight.
+    value : array, shape (...), or None
+        V1 at k-1, where the weight is adaptive.
     """
 
     k: int
@@ -196,9 +64,12 @@ class Memory:
     v: Array
     model: SignalModel
     y_hat: Array | None = None
+    stage: np.ndarray | None = None
+    value: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "y", "v", "y_hat")
+        _freeze(self, "y", "v", "y_hat", "value")
+        _freeze(self, "stage", kind=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +83,7 @@ class Step:
     y : array, shape (..., p)
         Output measured.
     v : array, shape (..., q)
-        Input computed.
+        Input applied: the one computed, ``plan.u[..., 0, :]``, unless an actuator changed it.
     y_hat : array, shape (..., p)
         Prediction of y(k) made at k-1; y(0) at k = 0.
     estimate : SignalModel
@@ -227,6 +98,8 @@ class Step:
         Its solution; ``plan.x[..., 0, :]`` is the augmented state X(k).
     memory : Memory
         What the step started from, y(k) included.
+    stage : array of int, shape (...)
+        What epsilon was taken at: k, or the stage j(k) of an adaptive weight.
     z : array, shape (..., n), or None
         The plant's state z(k), where there is a plant.
     """
@@ -241,16 +114,20 @@ class Step:
     problem: V1
     plan: Plan
     memory: Memory
+    stage: np.ndarray
     z: Array | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "y", "v", "y_hat", "lam", "z")
+        _freeze(self, "stage", kind=np.int64)
 
 
-def _freeze(record: Memory | Step, *names: str) -> None:
+def _freeze(record: Memory | Step, *names: str, kind: type = np.float64) -> None:
     for name in names:
         if getattr(record, name) is not None:
-            object.__setattr__(record, name, read_only(getattr(record, name)))
+            copy: np.ndarray = np.array(getattr(record, name), dtype=kind)
+            copy.flags.writeable = False
+            object.__setattr__(record, name, copy)
 
 
 def start(scheme: Scheme) -> Memory:
@@ -281,10 +158,14 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
         If a number leaves the range of float64.
     LostControllability
         If the lambda-search finds no candidate.
+    NotSolvedError
+        If the estimator's problem is not quadratic and its answer misses the certificate.
+    InputError
+        If y has another size, or a function of the user's own misbehaves.
     """
     y = real_array("y", y, (scheme.p,))
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return _step(scheme, memory, y)
     except (NotFiniteError, np.linalg.LinAlgError) as error:
         raise DivergedError(memory.k, str(error)) from error
@@ -297,19 +178,27 @@ def _step(scheme: Scheme, memory: Memory, y: Array) -> Step:
         np.broadcast_to(memory.y, (*lead, *memory.y.shape[-2:])), np.broadcast_to(y, (*lead, scheme.p))
     )
     v_history = np.broadcast_to(memory.v, (*lead, *memory.v.shape[-2:]))
-    x = lifting.window(y_history, lifting.outputs, estimator.window + 1)
+    x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
-    estimate = estimator.minimise(memory.model, x, u)
+    estimate = estimator.minimise(memory.model, x, u, memory.k)
     lam = scheme.mixing.choose(estimate, memory.model, lifting.augment)
     model = estimate.mix(memory.model, lam)
     used = memory.model if controller.model_delay else model
     state = lifting.augmented_state(y_history, v_history)
-    problem = controller.problem(lifting.augment(used), state, memory.k)
+    stage = np.full(lead, memory.k) if memory.stage is None else memory.stage
+    problem = controller.problem(lifting.augment(used), state, stage)
     plan = solve(problem, state)
+    if controller.adaptive and memory.value is not None:
+        value = plan.value
+        stuck = (value >= memory.value) & (value > 0)
+        if np.any(stuck):
+            stage = stage + stuck
+            problem = controller.problem(lifting.augment(used), state, stage)
+            plan = solve(problem, state)
     v = real_array("v", plan.u[..., 0, :])
     y_hat = y if memory.y_hat is None else memory.y_hat
     seen = Memory(memory.k, y_history, v_history, memory.model, memory.y_hat)
-    return Step(memory.k, y, v, y_hat, estimate, model, lam, problem, plan, seen)
+    return Step(memory.k, y, v, y_hat, estimate, model, lam, problem, plan, seen, stage)
 
 
 def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
@@ -322,7 +211,7 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
     done : Step
         The step at k.
     v : array_like, shape (..., q), optional
-        The input applied; the computed one where omitted.
+        The input that the scheme takes for the applied one; ``done.v`` where omitted.
 
     Returns
     -------
@@ -331,14 +220,24 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
     applied = done.v if v is None else real_array("v", v, (scheme.q,))
     v_history = remember(done.memory.v, np.broadcast_to(applied, (*done.memory.v.shape[:-2], scheme.q)))
     lifting = scheme.lifting
-    x = lifting.window(done.memory.y, lifting.outputs, 1)[..., 0, :]
+    x = lifting.lift(done.memory.y, 1)[..., 0, :]
     u = lifting.window(v_history, lifting.inputs, 1)[..., 0, :]
     with np.errstate(over="ignore", invalid="ignore"):
         predicted = np.einsum("...ab,...b->...a", done.model.A, x) + np.einsum("...ab,...b->...a", done.model.B, u)
-    return Memory(done.k + 1, done.memory.y, v_history, done.model, predicted[..., : scheme.p])
+    adaptive = scheme.controller.adaptive
+    stage, value = (done.stage, done.plan.value) if adaptive else (None, None)
+    return Memory(done.k + 1, done.memory.y, v_history, done.model, predicted[..., : scheme.p], stage, value)
 
 
-def closed_loop(scheme: Scheme, plant: Plant, z0: ArrayLike) -> Iterator[Step]:
+def closed_loop(
+    scheme: Scheme,
+    plant: Plant,
+    z0: ArrayLike,
+    *,
+    sensor: Instrument | None = None,
+    actuator: Instrument | None = None,
+    applied_known: bool = True,
+) -> Iterator[Step]:
     """Run the scheme on a plant for as long as the caller asks for steps.
 
     Parameters
@@ -349,6 +248,13 @@ def closed_loop(scheme: Scheme, plant: Plant, z0: ArrayLike) -> Iterator[Step]:
         Unknown to the scheme but for the sizes of y and v.
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
+    sensor : callable, optional
+        (k, y) -> the output as it is measured, see ``rhl.instruments``.
+    actuator : callable, optional
+        (k, v) -> the input as it is applied.
+    applied_known : bool
+        Whether the scheme remembers the input that was applied (as whoever knows the actuator can), or the one that it
+        computed.
 
     Yields
     ------
@@ -358,7 +264,7 @@ def closed_loop(scheme: Scheme, plant: Plant, z0: ArrayLike) -> Iterator[Step]:
     Raises
     ------
     InputError
-        If z0 does not fit the plant, or the plant's sizes do not fit the scheme.
+        If z0 does not fit the plant, the plant's sizes do not fit the scheme, or an instrument misbehaves.
     DivergedError
         If a number leaves the range of float64.
     """
@@ -369,22 +275,27 @@ def closed_loop(scheme: Scheme, plant: Plant, z0: ArrayLike) -> Iterator[Step]:
     # One step without input shows the batch axes that the plant itself brings.
     with np.errstate(over="ignore", invalid="ignore"):
         z = np.broadcast_to(z, np.shape(plant.step(z, np.zeros(plant.q))))
-    return _run(scheme, plant, z)
+    return _run(scheme, plant, z, sensor, actuator, applied_known)
 
 
-def _run(scheme: Scheme, plant: Plant, z: Array) -> Iterator[Step]:
+def _run(
+    scheme: Scheme, plant: Plant, z: Array, sensor: Instrument | None, actuator: Instrument | None, applied_known: bool
+) -> Iterator[Step]:
     memory = start(scheme)
     while True:
         y = np.asarray(plant.output(z), dtype=np.float64)
         if not np.all(np.isfinite(y)):
             raise DivergedError(memory.k, "the plant's output is no longer finite")
-        done = step(scheme, memory, y)
-        yield Step(**{**vars(done), "z": z})
+        computed = step(scheme, memory, through("sensor", sensor, memory.k, y))
+        done = replace(computed, z=z, v=through("actuator", actuator, memory.k, computed.v))
+        yield done
         with np.errstate(over="ignore", invalid="ignore"):
-            z = np.asarray(plant.step(z, done.v), dtype=np.float64)
-        if not np.all(np.isfinite(z)):
+            moved = np.asarray(plant.step(z, done.v), dtype=np.float64)
+        if moved.shape != z.shape:
+            raise InputError(f"the plant's step must return a state of shape {z.shape}, got {moved.shape}")
+        if not np.all(np.isfinite(moved)):
             raise DivergedError(done.k + 1, "the plant's state is no longer finite")
-        memory = advance(scheme, done)
+        z, memory = moved, advance(scheme, done, done.v if applied_known else computed.v)
 
 
 def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:

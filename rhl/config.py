@@ -1,127 +1,69 @@
-"""The form of a run's TOML file: every key, what it must be, and the experiment that it describes."""
+"""The form of a run's TOML file: reading, checking, and the experiment that it describes."""
 
 from __future__ import annotations
 
+import json
 import os
+import textwrap
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from rhl._checks import Array, InputError, describe, real_array, shown
-from rhl.bregman import WeightedSquares
-from rhl.closed_loop import Controller, HarmonicDecay, Scheme
-from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl._sections import (
+    PLANTS,
+    ControllerSection,
+    Count,
+    EstimatorSection,
+    KnowledgeSection,
+    LiftingSection,
+    Matrix,
+    PlantSection,
+    ReadySection,
+    RoughSection,
+    Section,
+    SimulationSection,
+    Text,
+    key,
+)
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
-from rhl.plants import LinearPlant, Plant, RobotArm
+from rhl.plants import Plant
 from rhl.published import Experiment
+from rhl.ready import ready
+from rhl.scheme import Scheme
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-# The upper ends are far above any use; they keep a slip of the keyboard from taking all memory.
-Size = Annotated[int, Field(strict=True, ge=1, le=100)]
-Length = Annotated[int, Field(strict=True, ge=1, le=10_000)]
-Count = Annotated[int, Field(strict=True, ge=1, le=100_000)]
-Positive = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
 # Of the file, in bytes: room for matrices of a few hundred rows.
 _LARGEST = 5_000_000
-Vector = list[Number]
-Matrix = list[list[Number]]
 
-
-def _key(what: str) -> Any:
-    # The description completes the sentence "KEY must be ..." and is the key's documentation.
-    return Field(description=what)
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
-
-
-class LinearSection(_Section):
-    """[plant] with kind = "linear": z+ = F z + G v, y = H z, equation (1)."""
-
-    kind: Literal["linear"] = _key('"linear"')
-    F: Matrix = _key("a square matrix of finite numbers, n rows")
-    G: Matrix = _key("a matrix of finite numbers, n rows and a column for each input")
-    H: Matrix = _key("a matrix of finite numbers, a row for each output and n columns")
-    z0: Vector = _key("a list of n finite numbers, the initial state")
-
-
-class ArmSection(_Section):
-    """[plant] with kind = "robot-arm": equation (24)."""
-
-    kind: Literal["robot-arm"] = _key('"robot-arm"')
-    variant: Literal["data", "printed"] = _key(
-        '"data" (the coefficients behind the published curves) or "printed" (those in the text)'
-    )
-    z0: Vector = _key("a list of 3 finite numbers, the initial state")
-
-
-class LiftingSection(_Section):
-    """[lifting]: equations (14) and (22)."""
-
-    outputs: Size = _key("a whole number from 1 to 100, N_y, how many outputs x(k) stacks")
-    inputs: Size = _key("a whole number from 1 to 100, N_v, how many inputs u(k) stacks")
-
-
-class EstimatorSection(_Section):
-    """[estimator]: equation (15)."""
-
-    window: Length = _key("a whole number from 1 to 10000, N_bar, how many transitions are fitted")
-    weight: Positive = _key("a positive number, the weight of the Bregman distance")
-    mixing: Annotated[float, Field(strict=True, ge=0, lt=1)] | Literal["search"] = _key(
-        'a number in [0, 1), the constant lambda, or "search" for Lemma 5\'s search on the augmented pair'
-    )
-    A0: Matrix | Literal["companion-of-ones"] = _key(
-        '"companion-of-ones" (first superdiagonal and last row ones) or a matrix, (N_y p) by (N_y p)'
-    )
-    B0: Matrix | Literal["last-row-of-ones", "eye-last-row-of-ones"] = _key(
-        '"last-row-of-ones", "eye-last-row-of-ones" or a matrix, (N_y p) by (N_v q)'
-    )
-
-
-class ControllerSection(_Section):
-    """[controller]: equation (3); sizes are those of Remark 4's augmented state, N_y p + (N_v - 1) q."""
-
-    Q: Number | Matrix = _key(
-        "a positive number (times the identity) or a symmetric positive definite matrix, (N_y p + (N_v-1) q) square"
-    )
-    R: Number | Matrix = _key(
-        "a positive number (times the identity) or a symmetric positive definite matrix, q square"
-    )
-    QN: Number | Matrix = _key(
-        "a positive number (times the identity) or a symmetric positive definite matrix, (N_y p + (N_v-1) q) square"
-    )
-    horizon: Length = _key("a whole number from 1 to 10000, N")
-    alpha: Positive = _key("a positive number, Gamma(x) = alpha x'x")
-    eps_rate: Positive = _key("a positive number, eps(k) = 1/(1 + eps_rate k)")
-    model_delay: Annotated[int, Field(strict=True, ge=0, le=1)] = _key(
-        "0 (control with the estimate of this step) or 1 (of the step before)"
-    )
-
-
-_SECTIONS: dict[str, tuple[type[_Section], ...]] = {
-    "plant": (LinearSection, ArmSection),
+_SECTIONS: dict[str, tuple[type[Section], ...]] = {
+    "plant": PLANTS,
     "lifting": (LiftingSection,),
     "estimator": (EstimatorSection,),
     "controller": (ControllerSection,),
+    "knowledge": (KnowledgeSection,),
+    "rough": (RoughSection,),
+    "simulation": (SimulationSection,),
 }
 
 
-class Config(_Section):
+class Config(Section):
     """A whole file."""
 
-    name: Annotated[str, Field(strict=True)] = _key("a text, what the run is called")
-    steps: Count = _key("a whole number from 1 to 100000, the number of rows k = 0 .. steps-1")
-    plant: Annotated[LinearSection | ArmSection, Field(discriminator="kind")] = _key("a section")
-    lifting: LiftingSection = _key("a section")
-    estimator: EstimatorSection = _key("a section")
-    controller: ControllerSection = _key("a section")
+    name: Text = key("a text, what the run is called")
+    steps: Count = key("a whole number from 1 to 100000, the number of rows k = 0 .. steps-1")
+    plant: PlantSection = key("a section")
+    lifting: LiftingSection = key("a section")
+    estimator: EstimatorSection = key("a section")
+    controller: ControllerSection = key("a section")
+    knowledge: KnowledgeSection | None = key("a section", default=None)
+    rough: RoughSection | None = key("a section", default=None)
+    simulation: SimulationSection | None = key("a section", default=None)
 
     def experiment(self) -> Experiment:
         """Build what the file describes.
@@ -136,43 +78,64 @@ class Config(_Section):
             If sizes do not fit each other; the message begins with the key.
         """
         with _under("plant"):
-            plant: Plant
-            if isinstance(self.plant, LinearSection):
-                plant = LinearPlant(_matrix("F", self.plant.F), _matrix("G", self.plant.G), _matrix("H", self.plant.H))
-            else:
-                plant = RobotArm(self.plant.variant)
-            z0 = real_array("z0", self.plant.z0)
-            if z0.shape != (plant.n,):
-                raise InputError(f"z0 must have {plant.n} entries, one for each state of the plant, got {len(z0)}")
-        n, q = plant.p * self.lifting.outputs, plant.q * self.lifting.inputs
+            plant, z0 = self._plant()
+        with _under("lifting"):
+            lifting = self.lifting.lifting()
+            n, q = lifting.size(plant.p), plant.q * self.lifting.inputs
         with _under("estimator"):
-            initial_model = self._initial_model(n, q)
-        mixing = self.estimator.mixing
-        section = self.controller
-        with _under("controller", otherwise="estimator"):
-            scheme = Scheme(
-                lifting=DelayLifting(self.lifting.outputs, self.lifting.inputs),
-                estimator=ProximalEstimator(self.estimator.window, generator=WeightedSquares(self.estimator.weight)),
-                controller=Controller(
-                    Q=_weight("Q", section.Q),
-                    R=_weight("R", section.R),
-                    QN=_weight("QN", section.QN),
-                    horizon=section.horizon,
-                    epsilon=HarmonicDecay(section.eps_rate),
-                    alpha=section.alpha,
-                    model_delay=section.model_delay,
-                ),
-                initial_model=initial_model,
-                mixing=LambdaSearch() if mixing == "search" else ConstantMixing(mixing),
+            initial_model = self._initial_model(plant, lifting, n, q)
+        with _under("knowledge"):
+            knowledge = None if self.knowledge is None else self.knowledge.knowledge(lifting, plant.p, plant.q)
+        with _under("controller"):
+            controller = self.controller.controller()
+        with _under("estimator"):
+            estimator = ProximalEstimator(
+                self.estimator.window, self.estimator.convex_loss(), self.estimator.convex_generator(), knowledge
             )
-        return Experiment(self.name, plant, z0, scheme, self.steps)
+        with _under("controller", otherwise="estimator"):
+            scheme = Scheme(lifting, estimator, controller, initial_model, self.estimator.mixed_by())
+        simulation = self.simulation or SimulationSection()
+        with _under("simulation"):
+            sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
+        return Experiment(self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known)
 
-    def _initial_model(self, n: int, q: int) -> SignalModel:
+    def _plant(self) -> tuple[Plant, Array]:
+        plant = self.plant.plant()
+        own = self.plant.z0 is None and isinstance(self.plant, ReadySection)
+        z0 = ready(self.plant.name).z0 if own and isinstance(self.plant, ReadySection) else self.plant.z0
+        z0 = real_array("z0", z0 if z0 is not None else [])
+        if z0.shape != (plant.n,):
+            raise InputError(f"z0 must have {plant.n} entries, one for each state of the plant, got {len(z0)}")
+        return plant, z0
+
+    def _initial_model(self, plant: Plant, lifting: DelayLifting, n: int, q: int) -> SignalModel:
         A0, B0 = self.estimator.A0, self.estimator.B0
-        named = SignalModel.companion_of_ones(n, q, B0 if isinstance(B0, str) else "last-row-of-ones")
-        A = named.A if isinstance(A0, str) else _fit("A0", A0, (n, n), "outputs of the plant times lifting.outputs")
-        B = named.B if isinstance(B0, str) else _fit("B0", B0, (n, q), "outputs and inputs, each times its lifting")
+        if "rough" in (A0, B0):
+            return self._rough_model(plant, lifting, A0 == B0)
+        named = SignalModel.companion_of_ones(
+            n, q, "eye-last-row-of-ones" if B0 == "eye-last-row-of-ones" else "last-row-of-ones"
+        )
+        A = named.A if isinstance(A0, str) else _fit("A0", A0, (n, n), "the order of x(k), square")
+        B = named.B if isinstance(B0, str) else _fit("B0", B0, (n, q), "the order of x(k) by N_v q")
         return SignalModel(A, B)
+
+    def _rough_model(self, plant: Plant, lifting: DelayLifting, both: bool) -> SignalModel:
+        if not both:
+            raise InputError('A0 and B0 must both be "rough" or neither, got one of them; a rough model gives both')
+        if self.rough is None:
+            raise InputError('A0 must be "rough" only with a section [rough], got none; add it with F, G and H')
+        if lifting.basis is not None:
+            raise InputError(
+                'A0 must not be "rough" where x(k) has basis functions, got both; give A0 and B0 as matrices'
+            )
+        with _under("rough"):
+            model = self.rough.model(lifting.outputs, lifting.inputs)
+            if model.n != plant.p * lifting.outputs or model.q != plant.q * lifting.inputs:
+                raise InputError(
+                    f"H and G must have {plant.p} rows and {plant.q} columns, as many as the plant has outputs and "
+                    f"inputs, got {model.n // lifting.outputs} and {model.q // lifting.inputs}"
+                )
+            return model
 
 
 def load(path: str | os.PathLike[str]) -> Config:
@@ -209,6 +172,9 @@ def load(path: str | os.PathLike[str]) -> Config:
     except (ValueError, RecursionError) as error:  # the parser's own error is a ValueError, and so is a huge number's
         detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
         raise InputError(f"{name} must be valid TOML, got: {detail}") from error
+    plant = data.get("plant")
+    if isinstance(plant, dict) and isinstance(plant.get("file"), str):
+        plant["file"] = str(Path(path).parent / plant["file"])
     return parse(data)
 
 
@@ -231,18 +197,99 @@ def parse(data: dict[str, Any]) -> Config:
 def keys() -> Iterator[tuple[str, str]]:
     """Yield every key with what it must be, in the order of the file; the book's reference is made of this.
 
-    A key of one kind of plant alone says so.
+    A key of some kinds of plant only says so, and so does one that may be left out.
     """
     for name in ("name", "steps"):
         yield name, Config.model_fields[name].description or ""
     for table, kinds in _SECTIONS.items():
-        described: dict[str, list[str]] = {}
+        described: dict[str, list[tuple[str, str]]] = {}
         for kind in kinds:
             for name, info in kind.model_fields.items():
-                described.setdefault(name, []).append(info.description or "")
+                what = info.description or ""
+                if not info.is_required() and info.default is not None:
+                    what += f"; {_toml(info.default)} if left out"
+                described.setdefault(name, []).append(
+                    (what, kind.model_fields["kind"].description or "" if len(kinds) > 1 else "")
+                )
         for name, texts in described.items():
-            only = "" if len(texts) == len(kinds) else "; in one kind of plant only"
-            yield f"{table}.{name}", " or ".join(dict.fromkeys(texts)) + only
+            what = " or ".join(dict.fromkeys(what for what, _ in texts))
+            only = "" if len(texts) == len(kinds) else f"; with kind = {' or '.join(kind for _, kind in texts)}"
+            yield f"{table}.{name}", what + only
+
+
+def schema() -> dict[str, Any]:
+    """Return the file's form as a JSON schema, for editors that complete and check TOML."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Config.model_json_schema(), "title": "rhl run"}
+
+
+_EXAMPLE: dict[str, dict[str, str]] = {
+    "plant": {
+        "kind": '"linear"',
+        "F": "[[1.1, 1.0], [0.0, 0.9]]",
+        "G": "[[0.0], [1.0]]",
+        "H": "[[1.0, 0.0]]",
+        "z0": "[1.0, -1.0]",
+    },
+    "lifting": {"outputs": "2", "inputs": "2"},
+    "estimator": {
+        "window": "4",
+        "weight": "1.0",
+        "mixing": '"none"',
+        "A0": '"companion-of-ones"',
+        "B0": '"last-row-of-ones"',
+    },
+    "controller": {
+        "Q": "1.0",
+        "R": "1.0",
+        "QN": "1.0",
+        "horizon": "10",
+        "alpha": "1.0",
+        "model_delay": "0",
+        "eps_rate": "10.0",
+    },
+}
+
+
+def template(name: str) -> str:
+    """Return a file that runs as it is, with a comment for each key; keys that may be left out stand commented out.
+
+    Parameters
+    ----------
+    name : str
+        What the run is called.
+
+    Returns
+    -------
+    str
+        TOML.
+    """
+    kinds = " or ".join(str(kind.model_fields["kind"].description) for kind in PLANTS)
+    lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
+    lines += [
+        *_comment("name", Config.model_fields["name"].description),
+        f"name = {json.dumps(name, ensure_ascii=False)}",
+    ]
+    lines += [*_comment("steps", Config.model_fields["steps"].description), "steps = 60"]
+    for table, (section, *_) in _SECTIONS.items():
+        given = _EXAMPLE.get(table, {})
+        lines += ["", f"# {' '.join((section.__doc__ or '').split())}", f"[{table}]" if given else f"# [{table}]"]
+        for name, info in section.model_fields.items():
+            lines += _comment(name, kinds if name == "kind" else info.description)
+            if name in given:
+                lines.append(f"{name} = {given[name]}")
+            else:
+                lines.append(
+                    f"# {name} = {'...' if info.is_required() or info.default is None else _toml(info.default)}"
+                )
+    return "\n".join(lines) + "\n"
+
+
+def _comment(name: str, what: str | None) -> list[str]:
+    return textwrap.wrap(f"{name}: {what}", 100, initial_indent="# ", subsequent_indent="#   ")
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value)
 
 
 def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
@@ -253,7 +300,8 @@ def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
     key = ".".join(part if part.replace("-", "_").isidentifier() else describe(part) for part in path)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         got = describe(found["kind"]) if kind == "union_tag_invalid" else "no such key"
-        return f'plant.kind must be "linear" or "robot-arm", got {got}'
+        *others, last = (section.model_fields["kind"].description for section in PLANTS)
+        return f"plant.kind must be {', '.join(map(str, others))} or {last}, got {got}"
     if kind == "extra_forbidden":
         return f"{key} is not a known key; expected one of {', '.join(fields)}, got {key}"
     wanted = fields[path[-1]].description if path[-1] in fields else "a section"
@@ -265,31 +313,22 @@ def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
 def _locate(loc: tuple[int | str, ...], data: dict[str, Any]) -> tuple[list[str], dict[str, Any], Any]:
     """Reduce pydantic's location to the file's own keys: the path, the fields known there, and what was found."""
     first = str(loc[0])
-    section = Config.model_fields[first].annotation if first in Config.model_fields else None
     found = data.get(first)
-    if len(loc) == 1 or section in (str, int) or not isinstance(found, dict):
-        return [first], dict(Config.model_fields), found
     if first == "plant":
-        section = LinearSection if loc[1] == "linear" else ArmSection
-        loc = loc[1:]
-        if len(loc) == 1:
-            return [first], dict(Config.model_fields), found
-    assert isinstance(section, type)
-    assert issubclass(section, _Section)
-    key = str(loc[1])
-    return [first, key], dict(section.model_fields), found.get(key)
-
-
-def _matrix(name: str, rows: Matrix) -> Array:
-    return real_array(name, rows, (None, None))
-
-
-def _weight(name: str, value: float | Matrix) -> Array | float:
-    return value if isinstance(value, float) else _matrix(name, value)
+        # The second part is the tag of the union, not a key.
+        tag, loc = f'"{loc[1]}"' if len(loc) > 1 else "", loc[1:]
+        named = [kind for kind in PLANTS if kind.model_fields["kind"].description == tag]
+        section: type[Section] | None = named[0] if named else None
+    else:
+        section = _SECTIONS[first][0] if first in _SECTIONS else None
+    if len(loc) < 2 or section is None or not isinstance(found, dict):
+        return [first], dict(Config.model_fields), found
+    name = str(loc[1])
+    return [first, name], dict(section.model_fields), found.get(name)
 
 
 def _fit(name: str, rows: Matrix, shape: tuple[int, int], why: str) -> Array:
-    array = _matrix(name, rows)
+    array = real_array(name, rows, (None, None))
     if array.shape != shape:
         raise InputError(f"{name} must have shape {shape} ({why}), got {array.shape}")
     return array

@@ -1,14 +1,20 @@
-"""The proximal (Bregman) estimator of the signal model, in its closed quadratic form."""
+"""The proximal (Bregman) estimator of the signal model, equation (15)."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
-from rhl._checks import Array, InputError, integer
-from rhl.bregman import WeightedSquares
+from rhl._checks import Array, AssumptionWarning, InputError, describe, integer
+from rhl._proximal import NotSolvedError, Proximal, quadratic, regression
+from rhl.bregman import Convex, Varying, WeightedSquares, called, convex
+from rhl.knowledge import Knowledge
 from rhl.model import SignalModel
+
+__all__ = ["NotSolvedError", "ProximalEstimator"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,47 +22,76 @@ class ProximalEstimator:
     r"""One proximal step towards the data of a short window, equation (15).
 
     .. math::
-        \theta^*(k) = \arg\min_\theta\; c(s(k) - R(k)\theta) + D(\theta, \tilde\theta(k-1))
+        \theta^*(k) = \arg\min_\theta\; c(s(k) - R(k)\theta, k) + D(\theta, \tilde\theta(k-1))
+        \quad\text{s.t. } M \theta = b
 
     Parameters
     ----------
     window : int
         :math:`\bar N`, the number of transitions x(j-1), u(j-1) -> x(j) that are fitted.
-    loss : WeightedSquares
-        c; weights: one number, or shape (window, n), newest transition first.
-    generator : WeightedSquares
-        g, which induces D; weights: one number, or shape (n, n+q) like [A B].
+    loss : WeightedSquares, LogCosh, PseudoHuber, Own or Varying
+        c; weights: one number, or one for each of the window n residuals, newest transition first.
+    generator : WeightedSquares, Entropy, LogCosh, PseudoHuber or Own
+        g, which induces D; weights: one number, or one for each of the n (n + q) parameters, column by column.
+    knowledge : Knowledge, optional
+        M and b, what is known of the model beforehand.
 
     Raises
     ------
     InputError
-        If the window is not a whole number of at least 1.
+        If the window is not a whole number of at least 1, or a loss or generator lacks a member.
+
+    Warns
+    -----
+    AssumptionWarning
+        Once for each estimator made, where Assumption 6 fails or is not known of the loss or the generator, or where
+        the generator's distance is not, or not known to be, convex in its second argument (Lemma 4).
 
     Notes
     -----
-    Source: equations (15) to (17). With these weights the problem falls apart into one regularised least-squares
-    problem for each row of [A B] (Remark 2); each is solved by an orthogonal factorisation, so that the data are never
-    squared.
+    Source: equations (15) to (17). With weighted squares the problem is a regularised least-squares problem, for each
+    row of [A B] by itself where the weights are entrywise (Remark 2); it is solved by an orthogonal factorisation, so
+    that the data are never squared. Every other loss and generator goes to scipy's trust-region method, which starts
+    at the centre; its answer must pass the certificate ``distance``.
     """
 
     window: int
-    loss: WeightedSquares = field(default_factory=WeightedSquares)
-    generator: WeightedSquares = field(default_factory=WeightedSquares)
+    loss: Convex | Varying = field(default_factory=WeightedSquares)
+    generator: Convex = field(default_factory=WeightedSquares)
+    knowledge: Knowledge | None = None
 
     def __post_init__(self) -> None:
         integer("window", self.window, 1)
+        if not isinstance(self.loss, Varying):
+            _for_residuals(convex("loss", self.loss))
+            _warn_of_assumption_6("loss", self.loss)
+        convex("generator", self.generator)
+        _warn_of_assumption_6("generator", self.generator)
+        known = self.generator.convex_in_second
+        if not known:
+            warnings.warn(
+                f"Lemma 4 and Theorem 2 ask for a Bregman distance that is convex in its second argument: that of the "
+                f"generator {called(self.generator)} is not{' known to be' if known is None else ''}, so the estimates "
+                "need not converge",
+                AssumptionWarning,
+                stacklevel=3,
+            )
+        if not (self.knowledge is None or isinstance(self.knowledge, Knowledge)):
+            raise InputError(f"knowledge must be a Knowledge or None, got {describe(self.knowledge)}")
 
-    def minimise(self, centre: SignalModel, x: Array, u: Array) -> SignalModel:
+    def minimise(self, centre: SignalModel, x: Array, u: Array, k: int = 0) -> SignalModel:
         r"""Return :math:`\theta^*(k)`, the minimiser of equation (15), as a signal model.
 
         Parameters
         ----------
         centre : SignalModel
-            The proximal centre :math:`\tilde\theta(k-1)`.
+            The proximal centre :math:`\tilde\theta(k-1)`; must satisfy the knowledge.
         x : array, shape (..., window + 1, n)
             x(k), x(k-1), ..., x(k - window).
         u : array, shape (..., window, q)
             u(k-1), ..., u(k - window).
+        k : int
+            The step, for a loss that varies.
 
         Returns
         -------
@@ -65,16 +100,84 @@ class ProximalEstimator:
         Raises
         ------
         InputError
-            If shapes or weights do not fit the model and the window.
+            If shapes or weights do not fit the model and the window, the centre does not satisfy the knowledge or
+            lies outside the generator's domain, or a function of the user's own misbehaves.
+        NotSolvedError
+            If the answer to a problem that is not quadratic misses its certificate.
         """
+        loss = self._loss(centre, x, u, k)
+        if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
+            entrywise = self.knowledge is None and np.ndim(loss.weight) < 2 and np.ndim(self.generator.weight) < 2
+            if entrywise:
+                return self._row_by_row(loss, self.generator, centre, x, u)
+            free = self._free(centre)
+            theta = quadratic(*regression(x, u), loss, self.generator, centre.theta, free)
+        else:
+            lead, problems = self._problems(loss, centre, x, u)
+            theta = np.reshape([problem.solve() for problem in problems], (*lead, centre.theta.shape[-1]))
+        return SignalModel.from_theta(theta, centre.n, centre.q)
+
+    def distance(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
+        r"""Certify an answer: how far a model is from the minimiser of equation (15), recomputed from the problem.
+
+        Parameters
+        ----------
+        model : SignalModel
+            The answer.
+        centre, x, u, k
+            The problem, as in ``minimise``.
+
+        Returns
+        -------
+        array, shape (...)
+            :math:`\|\delta\|/\|\theta\|` with Newton's step :math:`\delta` and the metric
+            :math:`\nabla^2 g(\theta)`: the relative distance itself where c and g are quadratic, elsewhere but for
+            terms of second order. About 1e-16 is the best there is.
+        """
+        lead, problems = self._problems(self._loss(centre, x, u, k), centre, x, u)
+        theta = np.broadcast_to(model.theta, (*lead, centre.theta.shape[-1])).reshape(len(problems), -1)
+        return np.reshape([problem.distance(of) for problem, of in zip(problems, theta, strict=True)], lead)
+
+    def _loss(self, centre: SignalModel, x: Array, u: Array, k: int) -> Convex:
         n, q = centre.n, centre.q
         if x.shape[-2:] != (self.window + 1, n) or u.shape[-2:] != (self.window, q):
             raise InputError(
                 f"x and u must have shapes ({self.window + 1}, {n}) and ({self.window}, {q}), "
                 f"got {x.shape[-2:]} and {u.shape[-2:]}"
             )
-        trust = np.sqrt(self._weights("loss", self.loss, (self.window, n))).T
-        hold = np.sqrt(self._weights("generator", self.generator, (n, n + q)))
+        loss = self.loss.loss(k) if isinstance(self.loss, Varying) else self.loss
+        if isinstance(self.loss, Varying):
+            _for_residuals(loss)
+        for name, function, size in (("loss", loss, self.window * n), ("generator", self.generator, n * (n + q))):
+            shape = np.shape(getattr(function, "weight", 1.0))
+            if shape not in ((), (size,), (size, size)):
+                raise InputError(
+                    f"{name} weights must be one number or have shape ({size},) or ({size}, {size}), got {shape}"
+                )
+        return loss
+
+    def _free(self, centre: SignalModel) -> Array:
+        if self.knowledge is None:
+            return np.eye(centre.theta.shape[-1])
+        self.knowledge.check("the centre", centre)
+        return self.knowledge.free
+
+    def _problems(
+        self, loss: Convex, centre: SignalModel, x: Array, u: Array
+    ) -> tuple[tuple[int, ...], list[Proximal]]:
+        """Return the batch axes and one problem for each member."""
+        free, (s, R) = self._free(centre), regression(x, u)
+        lead = np.broadcast_shapes(s.shape[:-1], centre.theta.shape[:-1])
+        s, R = np.broadcast_to(s, (*lead, *s.shape[-1:])), np.broadcast_to(R, (*lead, *R.shape[-2:]))
+        theta = np.broadcast_to(centre.theta, (*lead, centre.theta.shape[-1]))
+        return lead, [Proximal(s[at], R[at], loss, self.generator, theta[at], free) for at in np.ndindex(*lead)]
+
+    def _row_by_row(
+        self, loss: WeightedSquares, generator: WeightedSquares, centre: SignalModel, x: Array, u: Array
+    ) -> SignalModel:
+        n, q = centre.n, centre.q
+        trust = np.sqrt(np.broadcast_to(loss.weight, self.window * n)).reshape(self.window, n).T
+        hold = np.sqrt(np.broadcast_to(generator.weight, n * (n + q))).reshape(n + q, n).T
         parameters = np.concatenate([centre.A, centre.B], axis=-1)
         regressors = np.concatenate([x[..., 1:, :], u], axis=-1)
         # Rows of [A B] with the same weights share one factorisation; mostly that is all of them.
@@ -94,9 +197,21 @@ class ProximalEstimator:
         updated = parameters + moved
         return SignalModel(updated[..., :n], updated[..., n:])
 
-    @staticmethod
-    def _weights(name: str, squares: WeightedSquares, shape: tuple[int, int]) -> Array:
-        weight = np.asarray(squares.weight)
-        if weight.shape not in ((), shape):
-            raise InputError(f"{name} weights must be one number or have shape {shape}, got {weight.shape}")
-        return np.broadcast_to(weight, shape)
+
+def _for_residuals(loss: Convex) -> None:
+    if loss.lower > -np.inf:
+        raise InputError(
+            f"loss must take every real residual, got {called(loss)}, which is defined above {loss.lower:g} only"
+        )
+
+
+def _warn_of_assumption_6(role: str, function: object) -> None:
+    known = cast(Convex, function).assumption_6
+    if not known:
+        asked = "continuously differentiable and strictly convex" + (", and least at zero" if role == "loss" else "")
+        warnings.warn(
+            f"Assumption 6 asks for a {role} that is {asked}: {called(function)} is not"
+            f"{' known to be' if known is None else ''}",
+            AssumptionWarning,
+            stacklevel=4,
+        )

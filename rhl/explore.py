@@ -15,11 +15,12 @@ import numpy as np
 from rhl._checks import Array, InputError
 from rhl.claims.lemma_5 import crossing_pairs, degree_bound, polynomial
 from rhl.claims.proximal import tangential_turns
-from rhl.closed_loop import DivergedError, HarmonicDecay
+from rhl.closed_loop import DivergedError
 from rhl.controllability import ConstantMixing, candidates, margin
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.published import Experiment, curve, linear_example, robot_arm
+from rhl.schedules import HarmonicDecay
 from rhl.trace import Trace
 
 Name = Literal["linear", "robot"]

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, InputError, integer
+from rhl._checks import Array, InputError, describe, integer
+from rhl.basis import Basis
 from rhl.model import SignalModel
 
 
@@ -23,10 +24,10 @@ def remember(history: Array, newest: Array) -> Array:
 
 @dataclass(frozen=True)
 class DelayLifting:
-    r"""Stack the last outputs and inputs, equations (14) and (22).
+    r"""Stack the last outputs and inputs, equations (14) and (22), and append functions of the outputs if wished.
 
     .. math::
-        x(k) = [y(k); \dots; y(k-N_y+1)], \qquad u(k) = [v(k); \dots; v(k-N_v+1)]
+        w(k) = [y(k); \dots; y(k-N_y+1)], \qquad x(k) = [w(k); \varphi(w(k))], \qquad u(k) = [v(k); \dots; v(k-N_v+1)]
 
     Parameters
     ----------
@@ -34,21 +35,24 @@ class DelayLifting:
         :math:`\bar N_y`, at least 1.
     inputs : int
         :math:`\bar N_v`, at least 1.
+    basis : Polynomials, Terms, Features or None
+        :math:`\varphi`, functions of the stacked outputs that are zero at zero; None for none.
 
     Raises
     ------
     InputError
-        If a length is not a whole number of at least 1.
+        If a length is not a whole number of at least 1, or the basis is none.
 
     Notes
     -----
-    Signals before k = 0 are zero, as in the paper (after equation (17)).
+    Signals before k = 0 are zero, as in the paper (after equation (17)). Inputs are stacked and nothing else, so that
+    v(k) can be read off u(k).
 
     Examples
     --------
     >>> lifting = DelayLifting(outputs=2, inputs=2)
     >>> y, v = np.array([[3.0], [2.0], [1.0]]), np.array([[30.0], [20.0], [10.0]])  # newest first
-    >>> lifting.window(y, lifting.outputs, count=2)  # x(k), x(k-1)
+    >>> lifting.lift(y, count=2)  # x(k), x(k-1)
     array([[3., 2.],
            [2., 1.]])
     >>> lifting.augmented_state(y, v)
@@ -57,10 +61,59 @@ class DelayLifting:
 
     outputs: int
     inputs: int
+    basis: Basis | None = None
 
     def __post_init__(self) -> None:
         integer("outputs", self.outputs, 1)
         integer("inputs", self.inputs, 1)
+        if self.basis is not None and not (hasattr(self.basis, "count") and hasattr(self.basis, "features")):
+            raise InputError(f"basis must be Polynomials, Terms, Features or None, got {describe(self.basis)}")
+
+    def size(self, p: int) -> int:
+        """Return n, the size of x(k), for outputs of size p."""
+        return self.outputs * p + (0 if self.basis is None else self.basis.count(p, self.outputs))
+
+    def output_size(self, n: int) -> int:
+        """Return p, the size of the output, for which x(k) has n entries.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if self.basis is None:
+            p = max(n // self.outputs, 1)
+        else:
+            # Terms refuse sizes that lack an output that they name, so the sizes are tried from the largest down.
+            fitting = [p for p in range(n // self.outputs, 0, -1) if self._is_size(p, n)]
+            p = fitting[0] if fitting else 0
+        if p == 0 or self.size(p) != n:
+            raise InputError(
+                f"the model's A must have an order that is a multiple of outputs = {self.outputs}"
+                f"{'' if self.basis is None else ' plus the number of basis functions'}, got {n}"
+            )
+        return p
+
+    def _is_size(self, p: int, n: int) -> bool:
+        try:
+            return self.size(p) == n
+        except InputError:
+            return False
+
+    def lift(self, y_history: Array, count: int) -> Array:
+        """Return x(k), x(k-1), ..., shape (..., count, n).
+
+        Parameters
+        ----------
+        y_history : array, shape (..., T, p)
+            y(k), y(k-1), ..., at least count + outputs - 1 of them.
+        count : int
+            How many.
+        """
+        stack = self.window(y_history, self.outputs, count)
+        if self.basis is None:
+            return stack
+        return np.concatenate([stack, self.basis.features(stack, y_history.shape[-1])], axis=-1)
 
     def window(self, history: Array, depth: int, count: int, start: int = 0) -> Array:
         r"""Stack ``depth`` consecutive rows, for ``count`` instants going back from row ``start``.
@@ -85,7 +138,7 @@ class DelayLifting:
         return stacked.reshape(*stacked.shape[:-2], -1)
 
     def augmented_state(self, y_history: Array, v_history: Array) -> Array:
-        """Return X(k) = [y(k);...;y(k-N_y+1); v(k-1);...;v(k-N_v+1)] of Remark 4.
+        """Return X(k) = [x(k); v(k-1);...;v(k-N_v+1)] of Remark 4.
 
         Parameters
         ----------
@@ -96,9 +149,9 @@ class DelayLifting:
 
         Returns
         -------
-        array, shape (..., N_y p + (N_v - 1) q)
+        array, shape (..., n + (N_v - 1) q)
         """
-        x = self.window(y_history, self.outputs, 1)[..., 0, :]
+        x = self.lift(y_history, 1)[..., 0, :]
         if self.inputs == 1:
             return x
         past = self.window(v_history, self.inputs - 1, 1)[..., 0, :]

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol, get_args
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, common_batch, positive, real_array, square
+from rhl._checks import Array, InputError, common_batch, describe, integer, positive, read_only, real_array, square
 
 if TYPE_CHECKING:
     import control
+
+# What is new in a row of the observability matrix counts as nothing below this share of |F| (or of the rows of H, each
+# scaled to length one): rounding of a few dozen states stays below 1e-13, and a mode seen this weakly is lost in the
+# noise of any measurement.
+_SEEN_RTOL = 1e-10
+
+
+class PlantError(InputError):
+    """A function that the caller gave for a plant does not do what a plant must; the message says which and what."""
 
 
 class Plant(Protocol):
@@ -71,36 +82,63 @@ class LinearPlant:
         common_batch(F=(F, 2), G=(self.G, 2), H=(self.H, 2))
 
     @classmethod
-    def from_statespace(cls, system: control.StateSpace) -> LinearPlant:
-        """Take F, G, H from a discrete-time ``control.StateSpace`` without feedthrough.
+    def from_control(cls, system: control.StateSpace | control.TransferFunction) -> LinearPlant:
+        r"""Take a discrete-time system without feedthrough from python-control.
+
+        A state space gives its own F, G, H. A transfer function is realised: each input by one companion form over the
+        common denominator of its column, which is controllable; what the outputs do not see of that is taken away, so
+        that no mode is hidden (an unstable pole that channels share would otherwise make the plant undetectable).
 
         Parameters
         ----------
-        system : control.StateSpace
-            Discrete-time (``dt`` positive or True) with D = 0.
+        system : control.StateSpace or control.TransferFunction
+            In discrete time (``dt`` positive or True), strictly proper (D = 0), with real numbers; any numbers of
+            inputs and outputs.
 
         Returns
         -------
         LinearPlant
+            Of the state space's order, or of the transfer function's McMillan degree. Roots of a numerator and a
+            denominator that agree to ten digits or so count as cancelled.
 
         Raises
         ------
         InputError
-            If the system is not a state space, is in continuous time, or has feedthrough.
+            If the system is neither of the two, is in continuous time, has feedthrough, is improper, holds complex
+            numbers, or is zero.
+
+        Notes
+        -----
+        No slycot is needed.
+
+        Examples
+        --------
+        >>> import control
+        >>> plant = LinearPlant.from_control(control.tf([1.0], [1.0, -1.1], True))
+        >>> plant.F, plant.G, plant.H
+        (array([[1.1]]), array([[1.]]), array([[1.]]))
         """
         import control  # here, because it brings matplotlib along
 
-        if not isinstance(system, control.StateSpace):
-            raise InputError(f"system must be a control.StateSpace, got {type(system).__name__}")
-        if not system.isdtime(strict=True):
+        if not isinstance(system, control.StateSpace | control.TransferFunction):
             raise InputError(
-                f"system must be in discrete time (dt positive or True), got dt={system.dt}; "
-                "discretise it first with control.sample_system(system, Ts)"
+                f"system must be a control.StateSpace or a control.TransferFunction, got {type(system).__name__}; "
+                "a plant of another kind is an rhl.plants.FunctionPlant"
+            )
+        if not system.isdtime(strict=True):
+            raise InputError(_how_to_discretise(system, isinstance(system, control.TransferFunction)))
+        if isinstance(system, control.TransferFunction):
+            return cls(*_realise(system))
+        if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
+            raise InputError(
+                "system must have real matrices, got complex ones; give the real system that they stand for"
             )
         if np.any(system.D):
-            raise InputError("system must have D = 0 (y = H z, equation (1)), got a feedthrough")
-        if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C)):
-            raise InputError("system must have real matrices, got complex ones")
+            q = system.ninputs
+            raise InputError(
+                "system must have D = 0 (y = H z, equation (1)), got a feedthrough; put one step of delay before it "
+                f"with system * control.ss(np.zeros(({q}, {q})), np.eye({q}), np.eye({q}), 0, system.dt)"
+            )
         return cls(system.A, system.B, system.C)
 
     @property
@@ -119,12 +157,279 @@ class LinearPlant:
         return int(self.H.shape[-2])
 
     def step(self, z: Array, v: Array) -> Array:
-        """Return F z + G v, shape (..., n)."""
+        """Return F z + G v, shape (..., n); InputError if z or v has another length."""
+        check_lengths(z=(z, self.n), v=(v, self.q))
         return np.einsum("...ab,...b->...a", self.F, z) + np.einsum("...ab,...b->...a", self.G, v)
 
     def output(self, z: Array) -> Array:
-        """Return H z, shape (..., p)."""
+        """Return H z, shape (..., p); InputError if z has another length."""
+        check_lengths(z=(z, self.n))
         return np.einsum("...ab,...b->...a", self.H, z)
+
+
+def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
+    r"""Find what the outputs see of the state, :math:`\mathrm{im}\,[H' \; F'H' \; F'^2H' \; \dots]`.
+
+    Parameters
+    ----------
+    F : array_like, shape (n, n)
+        State matrix.
+    H : array_like, shape (p, n)
+        Output matrix.
+
+    Returns
+    -------
+    array, shape (n, r)
+        Orthonormal columns V; z_o = V'z obeys z_o+ = V'FV z_o + V'G v, y = HV z_o, and z only enters y through it.
+    int
+        The observability index: the least m for which m block rows of the observability matrix have its full rank, at
+        least 1.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit or an entry is not finite.
+
+    Notes
+    -----
+    The staircase algorithm: block after block is made orthogonal to those before it and cut to its rank. Powers of F
+    are never formed, so that unstable and stiff plants are judged as surely as others.
+    """
+    F = real_array("F", F, (None, None))
+    H = real_array("H", H, (None, square("F", F).shape[-1]))
+    if F.ndim > 2 or H.ndim > 2:
+        raise InputError(f"F and H must be single matrices, got shapes {F.shape} and {H.shape}; take one of the batch")
+    lengths = np.linalg.norm(H, axis=1, keepdims=True)
+    # Outputs may be in any units: a row counts for its direction.
+    block = (H / np.where(lengths > 0, lengths, 1.0)).T
+    size, basis, index = 1.0, np.zeros((len(F), 0)), 0
+    while True:
+        for _ in range(2):  # once more, for what rounding leaves of the columns before
+            block = block - basis @ (basis.T @ block)
+        U, sigma, _ = np.linalg.svd(block, full_matrices=False)
+        new = U[:, sigma > _SEEN_RTOL * size]
+        if new.shape[1] == 0:
+            return basis, max(index, 1)
+        basis, index = np.concatenate([basis, new], axis=1), index + 1
+        if basis.shape[1] == len(F):
+            return basis, index
+        block, size = F.T @ new, float(np.linalg.norm(F, 2))
+
+
+def _how_to_discretise(system: Any, transfer: bool) -> str:
+    many = transfer and (system.ninputs, system.noutputs) != (1, 1)
+    # python-control samples transfer functions of one input and one output only.
+    call = "control.sample_system(control.ss(A, B, C, 0), Ts)" if many else "control.sample_system(system, Ts)"
+    wrong = f"system must be in discrete time (dt positive or True), got dt={system.dt}; "
+    if system.dt is None:
+        return f"{wrong}say dt=True when making it if it is, or discretise it first with {call} if it is not"
+    return f"{wrong}discretise it first with {call}" + (
+        ", in state space because it has several channels" if many else ""
+    )
+
+
+def _realise(system: Any) -> tuple[Array, Array, Array]:
+    """Return F, G, H of a discrete-time transfer function, controllable by construction and cut to what y sees."""
+    p, q = system.noutputs, system.ninputs
+    columns = []
+    for j in range(q):
+        numerators, denominators = [], []
+        for i in range(p):
+            num, den = (np.trim_zeros(np.atleast_1d(part[i][j]), "f") for part in (system.num, system.den))
+            if np.iscomplexobj(num) or np.iscomplexobj(den):
+                raise InputError("system must have real coefficients, got complex ones; give the real system")
+            if len(num) >= len(den):
+                raise InputError(
+                    f"system must be strictly proper (y = H z, equation (1)), got degree {len(num) - 1} over "
+                    f"{len(den) - 1} from input {j} to output {i}; delay it by multiplying that channel with "
+                    f"control.tf([1], {[1] + [0] * (len(num) - len(den) + 1)}, system.dt)"
+                )
+            numerators.append(num / den[0])
+            denominators.append(den / den[0])
+        columns.append(_companion(numerators, denominators))
+    n = sum(len(F) for F, _ in columns)
+    if n == 0:
+        raise InputError("system must respond to an input, got a transfer function that is zero; check its numerators")
+    F, G, H = np.zeros((n, n)), np.zeros((n, q)), np.zeros((p, n))
+    at = 0
+    for j, (Fj, Hj) in enumerate(columns):
+        if len(Fj) == 0:
+            continue
+        rows = slice(at, at + len(Fj))
+        F[rows, rows], H[:, rows], G[at, j] = Fj, Hj, 1.0
+        at += len(Fj)
+    V, _ = observable_basis(F, H)
+    return (F, G, H) if V.shape[1] == n else (V.T @ F @ V, V.T @ G, H @ V)
+
+
+def _companion(numerators: list[Array], denominators: list[Array]) -> tuple[Array, Array]:
+    """Return F and H of one input's column over the product of its distinct denominators; G is (1, 0, ..., 0)."""
+    distinct: list[Array] = []
+    for num, den in zip(numerators, denominators, strict=True):
+        if len(num) and not any(np.array_equal(den, other) for other in distinct):
+            distinct.append(den)
+    common = np.array([1.0])
+    for den in distinct:
+        common = np.polymul(common, den)
+    n = len(common) - 1
+    F, H = np.eye(n, k=-1), np.zeros((len(numerators), n))
+    F[:1] = -common[1:]
+    for row, num, den in zip(H, numerators, denominators, strict=True):
+        if len(num):
+            raised = np.polymul(num, np.polydiv(common, den)[0])
+            row[n - len(raised) :] = raised
+    return F, H
+
+
+def check_lengths(**vectors: tuple[Any, int]) -> None:
+    """Refuse vectors whose last axis has another length than the one beside them."""
+    for name, (vector, length) in vectors.items():
+        shape = np.shape(vector)
+        if not shape or shape[-1] != length:
+            raise InputError(f"{name} must have shape (..., {length}) for this plant, got {shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionPlant:
+    r"""A plant of the caller's own, :math:`z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))`, from two plain functions.
+
+    Parameters
+    ----------
+    transition : callable
+        f, from z of shape (n,) and v of shape (q,) to the next state, shape (n,).
+    measurement : callable
+        g, from z of shape (n,) to y, shape (p,).
+    n : int
+        Size of the state, at least 1.
+    q : int
+        Size of the input, at least 1.
+
+    Attributes
+    ----------
+    p : int
+        Size of the output, found by asking for g(0).
+
+    Raises
+    ------
+    PlantError
+        If a function raises, or does not return finite real numbers of the right shape, at z = 0, v = 0; see
+        :meth:`step` for later on.
+    InputError
+        If n or q is not a whole number of at least 1, or a function cannot be called.
+
+    Notes
+    -----
+    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return
+    new ones. The scheme brings the outputs to zero; so put the wanted equilibrium there.
+
+    Examples
+    --------
+    >>> pendulum = FunctionPlant(
+    ...     lambda z, v: [z[0] + 0.1 * z[1], z[1] + 0.1 * (np.sin(z[0]) + v[0])], lambda z: z[:1], n=2, q=1
+    ... )
+    >>> pendulum.p, pendulum.step(np.array([0.0, 1.0]), np.array([0.0]))
+    (1, array([0.1, 1. ]))
+    """
+
+    transition: Callable[[Array, Array], ArrayLike]
+    measurement: Callable[[Array], ArrayLike]
+    n: int
+    q: int
+    p: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "n", integer("n", self.n, 1))
+        object.__setattr__(self, "q", integer("q", self.q, 1))
+        for name, form in (("transition", "(z, v)"), ("measurement", "(z)")):
+            value = getattr(self, name)
+            if not callable(value):
+                raise InputError(f"{name} must be a function {name}{form}, got {describe(value)}")
+        z, v = read_only(np.zeros(self.n)), read_only(np.zeros(self.q))
+        found = {
+            "measurement(z)": _called("measurement(z)", self.measurement, None, z),
+            "transition(z, v)": _called("transition(z, v)", self.transition, self.n, z, v),
+        }
+        for name, value in found.items():
+            if not np.all(np.isfinite(value)):
+                raise PlantError(
+                    f"{name} must be finite at z = 0, v = 0, where the scheme is to bring the plant, got "
+                    f"{describe(value)}; shift the coordinates so that the wanted equilibrium is at zero"
+                )
+        object.__setattr__(self, "p", len(found["measurement(z)"]))
+
+    def step(self, z: Array, v: Array) -> Array:
+        """Return the next state, shape (..., n), member by member of the batch.
+
+        Parameters
+        ----------
+        z : array, shape (..., n)
+        v : array, shape (..., q)
+
+        Returns
+        -------
+        array, shape (..., n)
+            Infinite or NaN where the function says so, and infinite where it leaves the range of float64
+            (OverflowError): the closed loop stops there as diverged.
+
+        Raises
+        ------
+        InputError
+            If z or v has another length, or their batch axes do not fit.
+        PlantError
+            If the function raises, writes into its arguments, or returns something other than n real numbers.
+        """
+        check_lengths(z=(z, self.n), v=(v, self.q))
+        z, v = np.asarray(z, dtype=np.float64), np.asarray(v, dtype=np.float64)
+        lead = common_batch(z=(z, 1), v=(v, 1))
+        z, v = np.broadcast_to(z, (*lead, self.n)), np.broadcast_to(v, (*lead, self.q))
+        out = np.empty((*lead, self.n))
+        for i in np.ndindex(lead):
+            out[i] = _called("transition(z, v)", self.transition, self.n, read_only(z[i]), read_only(v[i]))
+        return out
+
+    def output(self, z: Array) -> Array:
+        """Return the output, shape (..., p), member by member of the batch; it raises as :meth:`step` does."""
+        check_lengths(z=(z, self.n))
+        z = np.asarray(z, dtype=np.float64)
+        out = np.empty((*z.shape[:-1], self.p))
+        for i in np.ndindex(z.shape[:-1]):
+            out[i] = _called("measurement(z)", self.measurement, self.p, read_only(z[i]))
+        return out
+
+
+def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *arguments: Array) -> Array:
+    """Call a caller's function and check what comes back: real numbers of shape (length,), finite or not."""
+    wanted = f"an array of shape ({'p' if length is None else length},)"
+    where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
+    try:
+        returned = function(*arguments)
+    except OverflowError:
+        return np.full(1 if length is None else length, np.inf)
+    except Exception as error:
+        if isinstance(error, ValueError) and "read-only" in str(error):
+            raise PlantError(
+                f"{name} must return {wanted} and leave its arguments alone, got an attempt to write into them; "
+                "it must return a new array, so begin with z = z.copy()"
+            ) from error
+        raise PlantError(
+            f"{name} must return {wanted}, got {type(error).__name__}: {error}; try it by hand at {where}"
+        ) from error
+    try:
+        raw = np.asarray(returned)
+    except (ValueError, TypeError) as error:
+        raise PlantError(
+            f"{name} must return {wanted}, got {describe(returned)}, which is no rectangular array; "
+            "return np.array([...]) with one number for each entry"
+        ) from error
+    if raw.dtype.kind not in "iuf":
+        raise PlantError(
+            f"{name} must return {wanted} of real numbers, got {describe(returned)}; return np.array([...]) of floats"
+        )
+    if raw.ndim != 1 or len(raw) == 0 or length not in (None, len(raw)):
+        raise PlantError(
+            f"{name} must return {wanted}, got shape {raw.shape}; return np.array([...]) with one number for each entry"
+        )
+    return np.asarray(raw, dtype=np.float64)
 
 
 ArmVariant = Literal["data", "printed"]
@@ -183,12 +488,14 @@ class RobotArm:
         return 3
 
     def step(self, z: Array, v: Array) -> Array:
-        """Return the state one step of h seconds later, shape (..., 3)."""
+        """Return the state one step of h seconds later, shape (..., 3); InputError if z or v has another length."""
+        check_lengths(z=(z, 3), v=(v, 1))
         a, b, c, d, e, f = _ARM_COEFFICIENTS[self.variant]
         x1, x2, x3 = z[..., 0], z[..., 1], z[..., 2]
         rate = np.stack([x2, a * x3 - b * x2 - c * np.sin(x1), -d * x3 - e * x2 + f * v[..., 0]], axis=-1)
         return z + self.h * rate
 
     def output(self, z: Array) -> Array:
-        """Return the state itself, shape (..., 3)."""
+        """Return the state itself, shape (..., 3); InputError if z has another length."""
+        check_lengths(z=(z, 3))
         return z

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
 
 from rhl._checks import Array, InputError, real_array
-from rhl.closed_loop import Controller, HarmonicDecay, Scheme, replay
+from rhl.closed_loop import Step, replay
 from rhl.controllability import ConstantMixing
 from rhl.estimator import ProximalEstimator
+from rhl.instruments import Instrument
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, Plant, RobotArm
+from rhl.schedules import HarmonicDecay
+from rhl.scheme import Controller, Scheme
 from rhl.trace import Trace, simulate
 
 CURVES = {
@@ -67,7 +71,11 @@ class Experiment:
     z0 : array, shape (n,)
     scheme : Scheme
     steps : int
-        As many as the longest published curve has samples.
+        As many as the longest published curve has samples, in the paper's.
+    sensor, actuator : callable or None
+        What errs between scheme and plant, see ``rhl.instruments``; nothing in the paper's.
+    applied_known : bool
+        Whether the scheme remembers what the actuator let through.
     """
 
     name: str
@@ -75,10 +83,22 @@ class Experiment:
     z0: Array
     scheme: Scheme
     steps: int
+    sensor: Instrument | None = None
+    actuator: Instrument | None = None
+    applied_known: bool = True
 
-    def run(self) -> Trace:
-        """Simulate it."""
-        return simulate(self.scheme, self.plant, self.z0, self.steps)
+    def run(self, progress: Callable[[Step], None] | None = None) -> Trace:
+        """Simulate it; ``progress`` is called with each finished step."""
+        return simulate(
+            self.scheme,
+            self.plant,
+            self.z0,
+            self.steps,
+            progress,
+            sensor=self.sensor,
+            actuator=self.actuator,
+            applied_known=self.applied_known,
+        )
 
 
 def linear_example(*, printed: bool = False) -> Experiment:

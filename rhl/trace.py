@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, InputError, integer, shown
-from rhl.closed_loop import DivergedError, Scheme, Step, closed_loop
+from rhl.closed_loop import DivergedError, Step, closed_loop
 from rhl.controllability import margin
 from rhl.horizon import Plan
+from rhl.instruments import Instrument
 from rhl.plants import Plant
+from rhl.scheme import Scheme
 
 if TYPE_CHECKING:
     import pandas
@@ -98,6 +100,18 @@ class Trace:
     def weight(self) -> Array:
         """The controller's Gamma(x)/eps(k), shape (steps, ...)."""
         return np.stack([np.asarray(done.problem.weight) for done in self.steps])
+
+    @cached_property
+    def distance(self) -> Array:
+        """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
+        estimator, lifting = self.scheme.estimator, self.scheme.lifting
+        rows = []
+        for done in self.steps:
+            memory = done.memory
+            x = lifting.lift(memory.y, estimator.window + 1)
+            u = lifting.window(memory.v, lifting.inputs, estimator.window)
+            rows.append(estimator.distance(done.estimate, memory.model, x, u, done.k))
+        return np.stack(rows)
 
     @cached_property
     def margin_lifted(self) -> Array:
@@ -192,7 +206,15 @@ def _umask() -> int:
 
 
 def simulate(
-    scheme: Scheme, plant: Plant, z0: ArrayLike, steps: int, progress: Callable[[Step], None] | None = None
+    scheme: Scheme,
+    plant: Plant,
+    z0: ArrayLike,
+    steps: int,
+    progress: Callable[[Step], None] | None = None,
+    *,
+    sensor: Instrument | None = None,
+    actuator: Instrument | None = None,
+    applied_known: bool = True,
 ) -> Trace:
     """Run the scheme on a plant and collect what happened.
 
@@ -208,6 +230,8 @@ def simulate(
         Number of rows, k = 0 ... steps-1.
     progress : callable, optional
         Called with each finished step.
+    sensor, actuator, applied_known
+        What errs between scheme and plant, as in ``closed_loop``.
 
     Returns
     -------
@@ -230,8 +254,9 @@ def simulate(
     """
     integer("steps", steps, 1)
     collected: list[Step] = []
+    loop = closed_loop(scheme, plant, z0, sensor=sensor, actuator=actuator, applied_known=applied_known)
     try:
-        for done in islice(closed_loop(scheme, plant, z0), steps):
+        for done in islice(loop, steps):
             collected.append(done)
             if progress is not None:
                 progress(done)

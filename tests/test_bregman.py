@@ -79,9 +79,9 @@ def test_weights_are_read_only():
 @pytest.mark.parametrize(
     ("weight", "sentence"),
     [
-        (0.0, r"weight must be positive, got 0\.0"),
-        ([1.0, -2.0], r"weight must be positive, got -2\.0"),
-        ([], "weight must be positive, got no entry"),
+        (0.0, r"weight must be positive, .* got 0.0"),
+        ([1.0, -2.0], r"weight must be positive, .* got -2.0"),
+        ([], "weight must be positive, .* got no entry"),
         (np.inf, "weight must be finite, got inf"),
         ("one", "weight must hold real numbers, got 'one'"),
     ],

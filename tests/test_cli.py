@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from rhl import cli
-from rhl.published import linear_example
+from rhl.config import schema
+from rhl.published import Experiment, linear_example
 from tests.test_config import LINEAR
 
 
@@ -134,13 +135,13 @@ def test_overflow_at_the_first_step_leaves_the_heading(config, tmp_path, capsys)
 
 
 def test_interrupt_keeps_the_rows(config, tmp_path, capsys, monkeypatch):
-    real, table = cli.simulate, tmp_path / "trace.csv"
+    real, table = Experiment.run, tmp_path / "trace.csv"
 
-    def interrupted(scheme, plant, z0, steps, progress):
-        real(scheme, plant, z0, 5, progress)
+    def interrupted(experiment, progress):
+        real(replace(experiment, steps=5), progress)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "simulate", interrupted)
+    monkeypatch.setattr(Experiment, "run", interrupted)
     assert cli.main(["run", str(config()), "--output", str(table)]) == cli.INTERRUPTED
     assert len(rows_of(table)) == 5
     assert "interrupted at k = 5" in capsys.readouterr().err
@@ -172,7 +173,7 @@ def test_links_are_followed_and_modes_kept(config, tmp_path):
     target.write_text("old", encoding="utf-8")
     target.chmod(0o600)
     link.symlink_to(target)
-    assert cli.main(["run", str(config()), "--output", str(link)]) == 0
+    assert cli.main(["run", str(config()), "--output", str(link), "--force"]) == 0
     assert link.is_symlink()
     assert len(rows_of(target)) == 42
     assert target.stat().st_mode & 0o777 == 0o600
@@ -217,17 +218,91 @@ def test_extreme_runs_are_drawn_without_a_word(config, tmp_path, capsys, recwarn
     assert rows_of(table)
 
 
-def test_lost_controllability_stops_the_run_and_keeps_its_rows(config, tmp_path, capsys, monkeypatch):
-    real, table = cli.simulate, tmp_path / "t.csv"
+@pytest.mark.parametrize("error", [cli.LostControllability, cli.NotSolvedError])
+def test_a_run_that_stops_keeps_its_rows(config, tmp_path, capsys, monkeypatch, error):
+    real, table = Experiment.run, tmp_path / "t.csv"
 
-    def lost(scheme, plant, z0, steps, progress):
-        real(scheme, plant, z0, 7, progress)
-        raise cli.LostControllability("no lambda")
+    def lost(experiment, progress):
+        real(replace(experiment, steps=7), progress)
+        raise error("no lambda")
 
-    monkeypatch.setattr(cli, "simulate", lost)
+    monkeypatch.setattr(Experiment, "run", lost)
     assert cli.main(["run", str(config()), "--output", str(table)]) == cli.STOPPED
     assert len(rows_of(table)) == 7
     assert "stopped at k = 7: no lambda" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ["run", "run.toml", "--output", "there"],
+        ["run", "run.toml", "--output", "new.csv", "--plot", "there.svg"],
+        ["reproduce", "robot", "--output", "there"],
+        ["verify", "eq-1", "--fast", "--json", "there"],
+        ["new", "there"],
+        ["schema", "--output", "there"],
+    ],
+    ids=" ".join,
+)
+def test_what_exists_is_written_over_by_force_only(config, tmp_path, monkeypatch, capsys, asked):
+    monkeypatch.chdir(tmp_path)
+    config()
+    for name in ("there", "there.svg", "there.toml"):
+        Path(name).write_text("mine", encoding="utf-8")
+    assert cli.main(asked) == cli.BAD_INPUT
+    assert "must name a new file, got there" in capsys.readouterr().err
+    assert {path.read_text(encoding="utf-8") for path in tmp_path.glob("there*")} == {"mine"}
+    assert not Path("new.csv").exists()
+    assert cli.main([*asked, "--force"]) == 0
+    assert any(path.read_text(encoding="utf-8") != "mine" for path in tmp_path.glob("there*"))
+
+
+def test_a_new_configuration_runs_as_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "mine"]) == 0
+    assert cli.main(["check", "mine.toml", "--run"]) == 0
+    assert cli.main(["run", "mine.toml", "--output", "mine.csv"]) == 0
+    assert len(rows_of(Path("mine.csv"))) == 60
+
+
+@pytest.mark.parametrize("name", ["", ".toml", "no/such/folder", "a\nb"])
+def test_names_that_a_new_configuration_cannot_have(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", name]) == cli.BAD_INPUT
+    assert capsys.readouterr().err.startswith("rhl: NAME must ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_check_tells_a_sound_configuration_from_an_unsound_one(config, tmp_path, capsys):
+    assert cli.main(["check", str(config())]) == 0
+    assert "violated" not in capsys.readouterr().out
+    deaf = tmp_path / "deaf.toml"
+    deaf.write_text(LINEAR.replace("G = [[0], [1], [0]]", "G = [[0], [0], [1]]"), encoding="utf-8")
+    assert cli.main(["check", str(deaf)]) == cli.MISSED
+    assert "the input does not reach the mode 1.02" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_check_says_how_a_run_went_that_stopped(config, tmp_path, capsys):
+    path = tmp_path / "far.toml"
+    path.write_text(LINEAR.replace("1.02", "1e30"), encoding="utf-8")
+    assert cli.main(["check", str(path), "--run"]) == cli.STOPPED
+    streams = capsys.readouterr()
+    assert "after" in streams.out
+    assert "left the range of floating-point numbers" in streams.err
+
+
+def test_a_broken_assumption_is_one_line_of_warning(config, tmp_path, capsys):
+    path = tmp_path / "constant.toml"
+    path.write_text(LINEAR.replace("eps_rate = 100.0", 'eps = "constant"\neps_value = 0.1'), encoding="utf-8")
+    assert cli.main(["run", str(path), "--output", str(tmp_path / "t.csv")]) == 0
+    warned = capsys.readouterr().err.splitlines()
+    assert len(warned) == 1
+    assert warned[0].startswith("rhl: warning: Theorem 1 asks for an epsilon(k) that tends to zero: Constant does not")
+
+
+def test_the_schema_is_printed(capsys):
+    assert cli.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == schema()
 
 
 def test_pdf_is_a_figure_too(tmp_path, capsys):

@@ -7,23 +7,14 @@ import numpy as np
 import pytest
 
 from rhl._checks import InputError
-from rhl.closed_loop import (
-    Controller,
-    DivergedError,
-    HarmonicDecay,
-    Scheme,
-    Step,
-    advance,
-    closed_loop,
-    replay,
-    start,
-    step,
-)
+from rhl.closed_loop import DivergedError, Step, advance, closed_loop, replay, start, step
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, RobotArm
+from rhl.schedules import HarmonicDecay
+from rhl.scheme import Controller, Scheme
 from rhl.trace import simulate
 
 SEED = 2010_05891
@@ -319,7 +310,7 @@ def test_a_batch_of_plants_may_start_from_one_state():
         (lambda: scheme(alpha=0.0), r"alpha must be a positive finite number, got 0\.0"),
         (lambda: scheme(model_delay=2), "model_delay must be 0 or 1, got 2"),
         (lambda: HarmonicDecay(0.0), r"rate must be a positive finite number, got 0\.0"),
-        (lambda: run(scheme(epsilon=lambda k: 1.0 - k)), r"epsilon must be positive at every k, got 0\.0 at k = 1"),
+        (lambda: run(scheme(epsilon=lambda k: 1.0 - k)), r"epsilon must be positive and finite at every k, got 0.0 at k = 1"),
         (
             lambda: replace(scheme(), initial_model=SignalModel(np.eye(3), np.ones((3, 2)))),
             "A must have an order that is a multiple of outputs = 2, got 3",

@@ -117,7 +117,7 @@ REFUSED = [
     ("z0 = [0.1, 0.1, -10]", "z0 = [1]", "plant.z0 must have 3 entries.* got 1"),
     ("z0 = [0.1, 0.1, -10]", "z0 = [[1, 2, 3]]", "plant.z0 must be a list"),
     ("z0 = [0.1, 0.1, -10]\n", "", "plant.z0 must be .* got nothing; add the key"),
-    ('kind = "linear"', 'kind = "liner"', 'plant.kind must be "linear" or "robot-arm", got \'liner\''),
+    ('kind = "linear"', 'kind = "liner"', 'plant.kind must be "linear", .* or "python", got \'liner\''),
     ('kind = "linear"\n', "", "plant.kind must be .* got no such key"),
     ('kind = "linear"', 'kind = "robot-arm"', "plant.F is not a known key; expected one of kind, variant, z0"),
     ("outputs = 4", "outputs = 0", "lifting.outputs must be a whole number from 1 to 100, .* got 0"),

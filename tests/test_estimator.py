@@ -29,8 +29,8 @@ def case(n, q, window, weighted=False, lead=()):
     if weighted:
         estimator = ProximalEstimator(
             window,
-            WeightedSquares(10 ** rng.uniform(-1, 1, (window, n))),
-            WeightedSquares(10 ** rng.uniform(-1, 1, (n, n + q))),
+            WeightedSquares(10 ** rng.uniform(-1, 1, window * n)),
+            WeightedSquares(10 ** rng.uniform(-1, 1, n * (n + q))),
         )
     centre = SignalModel(rng.standard_normal((*lead, n, n)), rng.standard_normal((*lead, n, q)))
     return estimator, centre, rng.standard_normal((*lead, window + 1, n)), rng.standard_normal((*lead, window, q))
@@ -43,8 +43,8 @@ def vec_form(estimator, x, u):
     R = np.concatenate(
         [np.concatenate([np.kron(x[j + 1], np.eye(n)), np.kron(u[j], np.eye(n))], axis=1) for j in range(len(u))]
     )
-    loss = np.broadcast_to(estimator.loss.weight, (len(u), n)).reshape(-1)
-    generator = np.broadcast_to(estimator.generator.weight, (n, n + q)).T.reshape(-1)
+    loss = np.broadcast_to(estimator.loss.weight, len(u) * n)
+    generator = np.broadcast_to(estimator.generator.weight, n * (n + q))
     return s, R, loss, generator
 
 
@@ -139,8 +139,8 @@ def test_units_of_the_data_do_not_matter_to_the_accuracy():
     full = np.concatenate([scale, [1.0]])
     weighted = replace(
         estimator,
-        loss=WeightedSquares(np.broadcast_to(scale**-2.0, (4, 2))),
-        generator=WeightedSquares(full[None, :] ** 2 / scale[:, None] ** 2),
+        loss=WeightedSquares(np.tile(scale**-2.0, 4)),
+        generator=WeightedSquares((full[None, :] ** 2 / scale[:, None] ** 2).T.ravel()),
     )
     there = SignalModel(centre.A * scale[:, None] / scale, centre.B * scale[:, None])
     found = weighted.minimise(there, x * scale, u)
@@ -185,11 +185,11 @@ def test_batches_agree_with_members(weighted):
         (lambda e, c, x, u: e.minimise(c, x, u[:, :1]), r"got \(6, 3\) and \(5, 1\)"),
         (
             lambda e, c, x, u: replace(e, loss=WeightedSquares([1.0, 2.0])).minimise(c, x, u),
-            r"loss weights must be one number or have shape \(5, 3\), got \(2,\)",
+            r"loss weights must be one number or have shape \(15,\) or \(15, 15\), got \(2,\)",
         ),
         (
-            lambda e, c, x, u: replace(e, generator=WeightedSquares(np.ones((5, 3)))).minimise(c, x, u),
-            r"generator weights must be one number or have shape \(3, 5\), got \(5, 3\)",
+            lambda e, c, x, u: replace(e, generator=WeightedSquares(np.ones(5))).minimise(c, x, u),
+            r"generator weights must be one number or have shape \(15,\) or \(15, 15\), got \(5,\)",
         ),
     ],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rhl._checks import InputError
-from rhl.closed_loop import HarmonicDecay, replay
+from rhl.closed_loop import replay
 from rhl.controllability import ConstantMixing
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import solve
@@ -23,6 +23,7 @@ from rhl.published import (
     linear_example,
     robot_arm,
 )
+from rhl.schedules import HarmonicDecay
 from rhl.trace import Trace, simulate
 from tests import oracle
 

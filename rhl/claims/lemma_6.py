@@ -9,21 +9,18 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.claims.claim import Claim, Control, Effort, Evidence, worst_of
-from rhl.claims.kalman import (
-    KalmanForm,
-    inputs_to_stack,
-    kalman_form,
-    observability,
-    observability_index,
-    pbh,
-    run_open_loop,
-    signal_model,
-    spectral_radius,
-    stacked,
-)
+from rhl.claims.kalman import KalmanForm, kalman_form, run_open_loop, stacked
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
+from rhl.structure import (
+    inputs_to_stack,
+    observability,
+    observability_index,
+    pbh,
+    signal_model,
+    spectral_radius,
+)
 
 _PAGE = "notebooks/12-lemma-6.ipynb"
 _TEST = "tests/claims/test_lemma_6.py"

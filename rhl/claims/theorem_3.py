@@ -11,12 +11,15 @@ import numpy as np
 from rhl._checks import Array
 from rhl.bregman import WeightedSquares
 from rhl.claims.claim import Claim, Control, Effort, Evidence, worst_of
-from rhl.claims.kalman import kalman_form, signal_model
-from rhl.closed_loop import Controller, DivergedError, HarmonicDecay, Scheme
+from rhl.claims.kalman import kalman_form
+from rhl.closed_loop import DivergedError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
+from rhl.schedules import HarmonicDecay
+from rhl.scheme import Controller, Scheme
+from rhl.structure import signal_model
 from rhl.trace import Trace, simulate
 
 _PAGE = "notebooks/13-theorem-3.ipynb"

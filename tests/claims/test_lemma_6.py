@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhl import structure
 from rhl.claims import kalman, lemma_6
 from rhl.claims.claim import Effort, judge
 from rhl.lifting import DelayLifting
@@ -24,7 +25,7 @@ def test_as_recorded(claim, seed):
 def test_scalar_plants_by_hand(a, b, m):
     """For z+ = az + bv, y = z the first row of (55) must reproduce y(k+1) = a y(k) + b v(k) on every trajectory."""
     F, G, H = np.array([[a]]), np.array([[b]]), np.array([[1.0]])
-    model = kalman.signal_model(F, G, H, m)
+    model = structure.signal_model(F, G, H, m)
     v = np.sin(np.arange(m + 6.0))[:, None]
     y = [0.7]
     for row in v[:-1, 0]:
@@ -34,7 +35,7 @@ def test_scalar_plants_by_hand(a, b, m):
 
 
 def test_integrator_exactly():
-    model = kalman.signal_model(np.array([[1.0]]), np.array([[1.0]]), np.array([[1.0]]), 1)
+    model = structure.signal_model(np.array([[1.0]]), np.array([[1.0]]), np.array([[1.0]]), 1)
     assert np.allclose(model.A, [[1.0]], atol=1e-15)
     assert np.allclose(model.B, [[1.0]], atol=1e-15)
 
@@ -42,7 +43,7 @@ def test_integrator_exactly():
 def test_observability_matrix_is_that_of_python_control():
     form = kalman.kalman_form(np.random.default_rng(0), 2, 1, (2, 1, 0))
     F, _, H = form.observable
-    ours = kalman.observability(F, H, 3).reshape(3, 2, 3)[::-1].reshape(6, 3)
+    ours = structure.observability(F, H, 3).reshape(3, 2, 3)[::-1].reshape(6, 3)
     assert np.allclose(ours, control.obsv(F, H))
 
 
@@ -57,11 +58,11 @@ def test_observability_matrix_is_that_of_python_control():
     ],
 )
 def test_pbh_on_cases_that_can_be_seen(A, B, least, controllable):
-    assert (kalman.pbh(A, np.array(B), least) > 1e-12) == controllable
+    assert (structure.pbh(A, np.array(B), least) > 1e-12) == controllable
 
 
 def test_pbh_without_unstable_modes():
-    assert kalman.pbh(np.array([[0.5]]), np.array([[0.0]]), 1.0) == np.inf
+    assert structure.pbh(np.array([[0.5]]), np.array([[0.0]]), 1.0) == np.inf
 
 
 def test_drawn_plants_have_the_form():
@@ -70,8 +71,8 @@ def test_drawn_plants_have_the_form():
     assert np.all(form.F[:4, 4:] == 0)
     assert np.all(form.G[2:4] == 0)
     assert np.all(form.H[:, 4:] == 0)
-    assert kalman.spectral_radius(form.F[:2, :2]) == pytest.approx(1.2)
-    assert kalman.spectral_radius(form.F[4:, 4:]) == pytest.approx(0.8)
+    assert structure.spectral_radius(form.F[:2, :2]) == pytest.approx(1.2)
+    assert structure.spectral_radius(form.F[4:, 4:]) == pytest.approx(0.8)
 
 
 def test_another_pair_of_the_same_plant_may_not_be_stabilizable_once_augmented():
@@ -79,8 +80,8 @@ def test_another_pair_of_the_same_plant_may_not_be_stabilizable_once_augmented()
     a, c = 1.1, 1.5
     lifted = lemma_6.SignalModel(np.array([[a - c, c * a], [1.0, 0.0]]), np.array([[1.0, c], [0.0, 0.0]]))
     augmented = DelayLifting(2, 2).augment(lifted)
-    assert kalman.pbh(lifted.A, lifted.B, 1.0) > 0.1
-    assert kalman.pbh(augmented.A, augmented.B, 1.0) < 1e-12
+    assert structure.pbh(lifted.A, lifted.B, 1.0) > 0.1
+    assert structure.pbh(augmented.A, augmented.B, 1.0) < 1e-12
 
 
 def test_first_transitions_fit_no_pair_at_all():

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from rhl.claims import theorem_1
 from rhl.claims.claim import Effort, judge
-from rhl.claims.kalman import pbh
 from rhl.horizon import V1, solve
 from rhl.model import SignalModel
+from rhl.structure import pbh
 
 
 @pytest.mark.parametrize("seed", [0, 1])

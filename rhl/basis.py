@@ -1,0 +1,245 @@
+"""Functions of the stacked outputs that a lifting appends: polynomials, single terms, and the user's own."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, combinations_with_replacement
+from math import comb
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, InputError, describe, integer
+
+# More features than this make a model that no window can inform and no solver handle.
+_MOST = 2000
+
+
+class Basis(Protocol):
+    """Functions phi of the stacked outputs w(k) = [y(k); ...; y(k-N_y+1)], all zero at w = 0."""
+
+    def count(self, p: int, outputs: int) -> int:
+        """Return how many functions there are for outputs of size p, of which N_y are stacked."""
+
+    def features(self, stack: Array, p: int) -> Array:
+        """Return phi(w), shape (..., count), for w of shape (..., N_y p)."""
+
+
+@dataclass(frozen=True)
+class Polynomials:
+    """All monomials of degree 2 to ``degree`` in the entries of the stacked outputs.
+
+    Parameters
+    ----------
+    degree : int
+        At least 2; degree 1 is what every lifting has.
+    products_only : bool
+        Leave out powers: of different entries only.
+
+    Raises
+    ------
+    InputError
+        If the degree is not a whole number of at least 2.
+
+    Notes
+    -----
+    Source: Remark 3, Carleman's embedding. ``rhl.claims`` checks that the paper's example of it is exact.
+
+    Examples
+    --------
+    >>> Polynomials(2).features(np.array([2.0, 3.0]), p=1)
+    array([4., 6., 9.])
+    """
+
+    degree: int
+    products_only: bool = False
+
+    def __post_init__(self) -> None:
+        integer("degree", self.degree, 2)
+        if not isinstance(self.products_only, bool):
+            raise InputError(f"products_only must be True or False, got {describe(self.products_only)}")
+
+    def count(self, p: int, outputs: int) -> int:
+        """Return how many monomials there are."""
+        d, degrees = p * outputs, range(2, self.degree + 1)
+        number = sum(comb(d, m) if self.products_only else comb(d + m - 1, m) for m in degrees)
+        if not 1 <= number <= _MOST:
+            raise InputError(
+                f"the polynomials must be 1 to {_MOST} functions, got {number} of degree at most {self.degree} in "
+                f"{d} outputs; choose another degree, or stack fewer outputs"
+            )
+        return number
+
+    def features(self, stack: Array, p: int) -> Array:
+        """Return the monomials, shape (..., count)."""
+        choose = combinations if self.products_only else combinations_with_replacement
+        chosen = [of for m in range(2, self.degree + 1) for of in choose(range(stack.shape[-1]), m)]
+        return np.stack([np.prod(stack[..., list(of)], axis=-1) for of in chosen], axis=-1)
+
+
+_FUNCTIONS: dict[str, Callable[[Array], Array]] = {"sin": np.sin, "tanh": np.tanh, "cos": np.cos, "exp": np.exp}
+_FACTOR = re.compile(r"(?:(?P<function>[a-z]+)\()?(?P<signal>[a-z]+)(?P<index>\d+)(?:\(k(?:-(?P<delay>\d+))?\))?")
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Single products of outputs, written as texts: ``"y1*y2"``, ``"y1^3"``, ``"y1*y2(k-1)"``, ``"sin(y1)"``.
+
+    Parameters
+    ----------
+    texts : tuple of str
+        Each a product of factors; a factor is an output ``y1``, ``y2``, ... with an optional delay ``(k-1)``, under
+        sin or tanh if wished, and with an optional whole exponent.
+
+    Raises
+    ------
+    InputError
+        If a text is no such product, uses an input (``v1``), or is not zero at zero.
+
+    Notes
+    -----
+    Inputs may not be used: the scheme reads v(k) off u(k), and equation (14) keeps outputs and inputs apart.
+
+    Examples
+    --------
+    >>> Terms(("y1*y2", "y1(k-1)^2")).features(np.array([2.0, 3.0, 5.0, 7.0]), p=2)
+    array([ 6., 25.])
+    """
+
+    texts: Sequence[str]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.texts, (tuple, list)) or not self.texts:
+            raise InputError(f"texts must be one or more products such as 'y1*y2', got {describe(self.texts)}")
+        object.__setattr__(self, "texts", tuple(self.texts))
+        if len(self.texts) > _MOST:
+            raise InputError(f"texts must be at most {_MOST} products, got {len(self.texts)}")
+        for text, factors in zip(self.texts, self._factors, strict=True):
+            # A factor that does not vanish at zero may stand beside one that does.
+            if all(function == "cos" or function == "exp" for function, *_ in factors):
+                raise InputError(
+                    f"{text!r} must be zero where the outputs are, so that x can go to zero, got a value "
+                    "of 1 there; multiply it by an output"
+                )
+
+    @cached_property
+    def _factors(self) -> list[list[tuple[str, int, int, int]]]:
+        return [[_factor(text, part) for part in _split(text)] for text in self.texts]
+
+    def count(self, p: int, outputs: int) -> int:
+        """Return how many terms there are, after a look at the outputs that they name."""
+        for text, factors in zip(self.texts, self._factors, strict=True):
+            for _, index, delay, _ in factors:
+                if index > p or delay >= outputs:
+                    raise InputError(
+                        f"{text!r} must use outputs y1 to y{p} with delays up to {outputs - 1}, got y{index}(k-{delay})"
+                    )
+        return len(self.texts)
+
+    def features(self, stack: Array, p: int) -> Array:
+        """Return the terms, shape (..., count)."""
+        columns = []
+        for factors in self._factors:
+            column = np.ones(stack.shape[:-1])
+            for function, index, delay, power in factors:
+                entry = stack[..., delay * p + index - 1]
+                column = column * (_FUNCTIONS[function](entry) if function else entry) ** power
+            columns.append(column)
+        return np.stack(columns, axis=-1)
+
+
+def _split(text: object) -> list[str]:
+    if not isinstance(text, str) or not text.strip() or len(text) > 200:
+        raise InputError(f"a term must be a text such as 'y1*y2' of at most 200 characters, got {describe(text)}")
+    return "".join(text.split()).split("*")
+
+
+def _factor(text: str, part: str) -> tuple[str, int, int, int]:
+    body, _, exponent = part.partition("^")
+    found = _FACTOR.match(body)
+    rest = body[found.end() :] if found else ""
+    power = int(exponent) if exponent.isdecimal() and len(exponent) < 3 else 0 if "^" in part else 1
+    closed = found is not None and rest == (")" if found["function"] else "")
+    if found and closed and found["signal"] == "v":
+        raise InputError(
+            f"{text!r} must use outputs only (y1, y2, ...), got the input v{found['index']}; inputs are delay-lifted, "
+            "because v(k) has to be read off u(k)"
+        )
+    known = found is not None and found["signal"] == "y" and int(found["index"]) > 0 and power > 0
+    if found is None or not closed or not known or (found["function"] or "sin") not in _FUNCTIONS:
+        raise InputError(
+            f"{text!r} must be a product of outputs such as 'y1*y2', 'y1(k-1)^2', 'sin(y1)' "
+            f"(functions: {', '.join(_FUNCTIONS)}), got the factor {part!r}"
+        )
+    return found["function"] or "", int(found["index"]), int(found["delay"] or 0), power
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Functions of the user's own.
+
+    Parameters
+    ----------
+    function : callable
+        The stacked outputs w(k), shape (N_y p,) -> phi(w), shape (size,); zero at w = 0.
+    size : int
+        How many numbers it returns.
+
+    Raises
+    ------
+    InputError
+        If it is not a function of one argument; later, if it raises, returns another shape, or is not zero at zero.
+    """
+
+    function: Callable[[Array], ArrayLike]
+    size: int
+
+    def __post_init__(self) -> None:
+        integer("size", self.size, 1)
+        if self.size > _MOST:
+            raise InputError(f"size must be at most {_MOST}, got {self.size}")
+        if not callable(self.function):
+            raise InputError(f"function must be a function of the stacked outputs, got {describe(self.function)}")
+        try:
+            inspect.signature(self.function).bind(None)
+        except TypeError as error:
+            raise InputError(
+                f"function must take the stacked outputs and nothing else, got one for which {error}; inputs are "
+                "delay-lifted, because v(k) has to be read off u(k)"
+            ) from error
+        except ValueError:
+            pass  # a built-in function has no signature to look at
+
+    def count(self, p: int, outputs: int) -> int:
+        """Return ``size``, after a look at the function at zero."""
+        at_zero = self.features(np.zeros(p * outputs), p)
+        if np.any(at_zero != 0):
+            raise InputError(
+                f"function must be zero where the outputs are, so that x can go to zero, got {describe(at_zero)}; "
+                "subtract its value at zero"
+            )
+        return self.size
+
+    def features(self, stack: Array, p: int) -> Array:
+        """Return phi(w), shape (..., size)."""
+        rows = [self._row(w) for w in stack.reshape(-1, stack.shape[-1])]
+        return np.reshape(rows, (*stack.shape[:-1], self.size))
+
+    def _row(self, w: Array) -> Array:
+        try:
+            row = np.asarray(self.function(w), dtype=np.float64)
+        except Exception as error:  # whatever a user's function raises
+            raise InputError(
+                f"function must take stacked outputs of shape {w.shape} and return {self.size} real numbers, "
+                f"got {type(error).__name__}: {error}"
+            ) from error
+        if row.shape != (self.size,):
+            raise InputError(f"function must return shape ({self.size},), got {row.shape}")
+        if np.any(np.isnan(row)):
+            raise InputError(f"function must return numbers, got NaN at stacked outputs {describe(w)}")
+        return row

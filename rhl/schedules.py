@@ -1,0 +1,183 @@
+"""Schedules epsilon(k) by which the terminal weight Gamma(x)/epsilon(k) grows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import InputError, describe, fraction, positive
+
+Schedule = Callable[[int], float]
+
+# Beyond it 1/epsilon would leave the range of float64.
+_LEAST = 1e-300
+
+
+@dataclass(frozen=True)
+class HarmonicDecay:
+    r"""The schedule :math:`\epsilon(k) = 1 / (1 + \eta k)` of Section VI.
+
+    Parameters
+    ----------
+    rate : float
+        :math:`\eta`, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
+
+    Raises
+    ------
+    InputError
+        If the rate is not positive; epsilon has to tend to zero (Theorem 1).
+
+    Examples
+    --------
+    >>> HarmonicDecay(100)(10)
+    0.000999000999000999
+    """
+
+    rate: float
+    vanishes = True
+
+    def __post_init__(self) -> None:
+        positive("rate", self.rate)
+
+    def __call__(self, k: int) -> float:
+        """Return epsilon(k)."""
+        return 1.0 / (1.0 + self.rate * k)
+
+
+@dataclass(frozen=True)
+class PowerDecay:
+    r"""The schedule :math:`\epsilon(k) = (1 + \eta k)^{-p}`; p = 1 is the harmonic one.
+
+    Parameters
+    ----------
+    rate : float
+        :math:`\eta`, positive.
+    power : float
+        p, positive.
+
+    Raises
+    ------
+    InputError
+        If a parameter is not positive.
+
+    Notes
+    -----
+    Theorem 1 asks of a schedule only that it is positive and tends to zero.
+    """
+
+    rate: float
+    power: float
+    vanishes = True
+
+    def __post_init__(self) -> None:
+        positive("rate", self.rate)
+        positive("power", self.power)
+
+    def __call__(self, k: int) -> float:
+        """Return epsilon(k), at least 1e-300."""
+        return max(float(np.exp(-self.power * np.log1p(self.rate * k))), _LEAST)
+
+
+@dataclass(frozen=True)
+class ExponentialDecay:
+    r"""The schedule :math:`\epsilon(k) = \rho^k`.
+
+    Parameters
+    ----------
+    factor : float
+        :math:`\rho`, in (0, 1).
+
+    Raises
+    ------
+    InputError
+        If the factor is not in (0, 1).
+
+    Notes
+    -----
+    It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
+    that it is positive and tends to zero; a fast one leaves the terminal weight no time, see the book.
+    """
+
+    factor: float
+    vanishes = True
+
+    def __post_init__(self) -> None:
+        positive("factor", self.factor)
+        fraction("factor", self.factor)
+
+    def __call__(self, k: int) -> float:
+        """Return epsilon(k), at least 1e-300."""
+        return max(float(np.exp(k * np.log(self.factor))), _LEAST)
+
+
+@dataclass(frozen=True)
+class Constant:
+    r"""The schedule that never falls: ordinary receding horizon control with a fixed terminal weight.
+
+    Parameters
+    ----------
+    value : float
+        epsilon, positive.
+
+    Raises
+    ------
+    InputError
+        If the value is not positive.
+
+    Notes
+    -----
+    Theorem 1 asks that epsilon(k) tends to zero; this one does not, and a controller made with it says so.
+    """
+
+    value: float
+    vanishes = False
+
+    def __post_init__(self) -> None:
+        positive("value", self.value)
+
+    def __call__(self, k: int) -> float:
+        """Return epsilon."""
+        return float(self.value)
+
+
+def epsilon_at(schedule: Schedule, k: int) -> float:
+    """Evaluate a schedule, the user's own too, and check what it returns.
+
+    Parameters
+    ----------
+    schedule : callable
+        k -> epsilon(k).
+    k : int
+        The step.
+
+    Returns
+    -------
+    float
+
+    Raises
+    ------
+    InputError
+        If the schedule raises, is not positive and finite at k, or is larger there than at k - 1.
+    """
+    now = _value(schedule, k)
+    if k > 0:
+        before = _value(schedule, k - 1)
+        if now > before:
+            raise InputError(
+                f"epsilon must not rise (Theorem 1 asks that it tends to zero), got {now:g} at k = {k} after {before:g}"
+            )
+    return now
+
+
+def _value(schedule: Schedule, k: int) -> float:
+    try:
+        found: Any = schedule(k)
+        value = float(found)
+    except Exception as error:  # whatever a user's function raises
+        raise InputError(f"epsilon must return a number at k = {k}, got {type(error).__name__}: {error}") from error
+    if not 0 < value < np.inf:
+        raise InputError(f"epsilon must be positive and finite at every k, got {describe(found)} at k = {k}")
+    return value

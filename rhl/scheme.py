@@ -1,0 +1,208 @@
+"""The scheme before the loop is closed: what is lifted, estimated, mixed and solved with which settings."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from rhl._checks import Array, AssumptionWarning, InputError, describe, integer, positive, weight_matrix
+from rhl.bregman import called
+from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
+from rhl.estimator import ProximalEstimator
+from rhl.horizon import V1
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+from rhl.schedules import HarmonicDecay, Schedule, epsilon_at
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    r"""What V1 is set up with at every step, Assumption 3 and Theorem 1.
+
+    Parameters
+    ----------
+    Q, QN : float or array_like, shape (n', n')
+        Stage and terminal weight on the augmented state; a number is that times the identity.
+    R : float or array_like, shape (q, q)
+        Input weight.
+    horizon : int
+        N, at least 1. The theory asks for N at least n'.
+    epsilon : callable
+        k -> epsilon(k), positive and never rising: a schedule of ``rhl.schedules`` or a function of the user's own.
+    alpha : float
+        :math:`\Gamma(x) = \alpha x^\top x`, positive (Theorem 1).
+    model_delay : {0, 1}
+        0: use the estimate of this step, theta~(k). 1: use that of the step before, theta~(k-1), as the published data
+        do.
+    adaptive : bool
+        False: epsilon falls with every step. True: it is taken at a stage j(k) that moves on only where the value
+        function did not fall, :math:`V_1(k) \ge V_1(k-1)` with the weight kept; a suggestion of the paper's outlook
+        (Section VII), outside its theory.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Warns
+    -----
+    AssumptionWarning
+        If epsilon is known not to tend to zero (Theorem 1).
+    """
+
+    Q: Array | float
+    R: Array | float
+    QN: Array | float
+    horizon: int
+    epsilon: Schedule
+    alpha: float = 1.0
+    model_delay: int = 0
+    adaptive: bool = False
+
+    def __post_init__(self) -> None:
+        integer("horizon", self.horizon, 1)
+        positive("alpha", self.alpha)
+        if isinstance(self.model_delay, bool) or self.model_delay not in (0, 1):
+            raise InputError(f"model_delay must be 0 or 1, got {self.model_delay!r}")
+        if not callable(self.epsilon):
+            raise InputError(f"epsilon must be a function of k, got {describe(self.epsilon)}")
+        if not isinstance(self.adaptive, bool):
+            raise InputError(f"adaptive must be True or False, got {describe(self.adaptive)}")
+        if not getattr(self.epsilon, "vanishes", True):
+            warnings.warn(
+                f"Theorem 1 asks for an epsilon(k) that tends to zero: {called(self.epsilon)} does not, so the "
+                "terminal weight need not bring the state to zero",
+                AssumptionWarning,
+                stacklevel=3,
+            )
+
+    def problem(self, model: SignalModel, x: Array, k: int | np.ndarray) -> V1:
+        """Set up V1 for the augmented model and state with epsilon(k), equation (3).
+
+        Parameters
+        ----------
+        model : SignalModel
+            Augmented model.
+        x : array, shape (..., n)
+            Augmented state.
+        k : int, or array of int, shape (...)
+            The step; where the weight is adaptive, the stage.
+
+        Returns
+        -------
+        V1
+        """
+        epsilon = np.reshape([epsilon_at(self.epsilon, int(at)) for at in np.ravel(k)], np.shape(k))
+        weight = self.alpha * np.sum(x**2, axis=-1) / epsilon
+        return V1(model, self.Q, self.R, self.QN, weight, self.horizon)
+
+
+@dataclass(frozen=True, eq=False)
+class Scheme:
+    """Receding horizon learning: everything that is chosen before the loop is closed.
+
+    Parameters
+    ----------
+    lifting : DelayLifting
+        How x and u are made of y and v.
+    estimator : ProximalEstimator
+        Equation (15).
+    controller : Controller
+        Equation (3).
+    initial_model : SignalModel
+        theta~(0), lifted; controllable (Theorem 2(iii)).
+    mixing : ConstantMixing or LambdaSearch
+        How lambda_k is chosen.
+
+    Raises
+    ------
+    InputError
+        If sizes do not fit each other, the initial model contradicts the estimator's knowledge or lies outside its
+        generator's domain, or the mixing is a search and the initial model is not controllable.
+    """
+
+    lifting: DelayLifting
+    estimator: ProximalEstimator
+    controller: Controller
+    initial_model: SignalModel
+    mixing: Mixing = field(default_factory=ConstantMixing)
+
+    def __post_init__(self) -> None:
+        for name, kind in (
+            ("lifting", DelayLifting),
+            ("estimator", ProximalEstimator),
+            ("controller", Controller),
+            ("initial_model", SignalModel),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise InputError(f"{name} must be a {kind.__name__}, got {describe(getattr(self, name))}")
+        if not callable(getattr(self.mixing, "choose", None)):
+            raise InputError(f"mixing must be a ConstantMixing or a LambdaSearch, got {describe(self.mixing)}")
+        augmented = self.lifting.augment(self.initial_model)
+        self.lifting.output_size(self.initial_model.n)
+        if self.estimator.knowledge is not None:
+            self.estimator.knowledge.check("the initial model", self.initial_model)
+        generator = self.estimator.generator
+        if not np.all(self.initial_model.theta > generator.lower):
+            raise InputError(
+                f"the initial model must lie in the domain of {called(generator)}, entries above {generator.lower:g}, "
+                f"got {self.initial_model.theta.min():g}"
+            )
+        weight_matrix("Q", self.controller.Q, augmented.n)
+        weight_matrix("R", self.controller.R, augmented.q)
+        weight_matrix("QN", self.controller.QN, augmented.n)
+        if isinstance(self.mixing, LambdaSearch):
+            model = augmented if self.mixing.pair == "augmented" else self.initial_model
+            least = np.min(margin(model))
+            if not least >= self.mixing.least_margin:
+                raise InputError(
+                    "the initial model must be controllable for a lambda-search: "
+                    f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
+                    f"got {least:.3g}"
+                )
+
+    @cached_property
+    def p(self) -> int:
+        """Size of the output y."""
+        return self.lifting.output_size(self.initial_model.n)
+
+    @property
+    def q(self) -> int:
+        """Size of the input v."""
+        return self.initial_model.q // self.lifting.inputs
+
+
+def default_scheme(p: int, q: int, order: int) -> Scheme:
+    r"""Return a scheme to begin with, from nothing but sizes and a bound on the plant's order.
+
+    Parameters
+    ----------
+    p, q : int
+        Sizes of the plant's output and input.
+    order : int
+        An upper bound on the order of the plant's observable part.
+
+    Returns
+    -------
+    Scheme
+        :math:`N_y = N_v` = order (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit
+        weights, a horizon of twice the augmented state's size, :math:`\epsilon(k) = 1/(1+10k)`, and the paper's initial
+        model. Weights carry units: where inputs and outputs are of different size, ``dataclasses.replace`` R first.
+
+    Raises
+    ------
+    InputError
+        If a size is not a whole number of at least 1.
+    """
+    for name, value in (("p", p), ("q", q), ("order", order)):
+        integer(name, value, 1)
+    n = p * order
+    return Scheme(
+        lifting=DelayLifting(order, order),
+        estimator=ProximalEstimator(2 * order),
+        controller=Controller(1.0, 1.0, 1.0, 2 * (n + (order - 1) * q), HarmonicDecay(10)),
+        initial_model=SignalModel.companion_of_ones(n, q * order, "last-row-of-ones"),
+    )
