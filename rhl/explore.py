@@ -87,8 +87,8 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
             ),
             (_window(range(1, 17), 8),),
             (_mixing(0.0),),
-            (_initial(2, "third entry of the initial state", "z₃(0)", range(-20, 21, 2), -10),),
-            (Setting("radius", "spectral radius of the plant", "ρ(F)", _steps(0.92, 1.52, 0.02), 1.02, _with_radius),),
+            (_initial(2, "initial state", "z₃(0)", range(-20, 21, 2), -10),),
+            (Setting("radius", "spectral radius", "ρ(F)", _steps(0.92, 1.52, 0.02), 1.02, _with_radius),),
         )
     if name == "robot":
         return (
