@@ -140,12 +140,14 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
     if np.max(np.abs(scaled - scaled.swapaxes(-1, -2))) > _SYMMETRY_RTOL:
         gap = np.max(np.abs(scaled - scaled.swapaxes(-1, -2)) * largest)
         raise InputError(f"{name} must be symmetric, got entries that differ from their mirror by {gap:.3g}")
-    array = array / 2 + transposed / 2
+    # Halves of the smallest numbers there are would be zero.
+    array = np.where(array == transposed, array, array / 2 + transposed / 2)
     try:
         np.linalg.cholesky(array)
     except np.linalg.LinAlgError:
         least = np.min(np.linalg.eigvalsh(scaled / 2 + scaled.swapaxes(-1, -2) / 2) * largest[..., 0])
-        raise InputError(f"{name} must be positive definite, got smallest eigenvalue {least:.3g}") from None
+        beside = "" if least <= 0 else f" beside entries of {largest.max():.3g}"
+        raise InputError(f"{name} must be positive definite, got smallest eigenvalue {least:.3g}{beside}") from None
     array.flags.writeable = False
     return array
 

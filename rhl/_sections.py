@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -380,9 +381,12 @@ def _partial(name: str, rows: Partial, shape: tuple[int, int]) -> Array:
 def _executed(file: str) -> dict[str, Any]:
     import runpy
 
+    folder = os.getcwd()
     try:
         return runpy.run_path(file)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a user's file raises, sys.exit included
         raise InputError(f"file must be a Python file that runs, got {reason(error)}, from {shown(file)}") from error
+    finally:
+        os.chdir(folder)  # output is named from there, wherever the file went

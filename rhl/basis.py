@@ -142,7 +142,8 @@ class Terms:
             for _, index, delay, _ in factors:
                 if index > p or delay >= outputs:
                     raise InputError(
-                        f"{text!r} must use outputs y1 to y{p} with delays up to {outputs - 1}, got y{index}(k-{delay})"
+                        f"{describe(text)} must use outputs y1 to y{p} with delays up to {outputs - 1}, got "
+                        f"y{describe(index)}(k-{describe(delay)})"
                     )
         return len(self.texts)
 

@@ -31,6 +31,7 @@ from rhl._sections import (
     key,
 )
 from rhl.estimator import ProximalEstimator
+from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import Plant
@@ -95,6 +96,9 @@ class Config(Section):
             estimator = ProximalEstimator(
                 self.estimator.window, self.estimator.convex_loss(), self.estimator.convex_generator(), knowledge
             )
+        with _under("estimator"):
+            if knowledge is not None:
+                _check_start(knowledge, initial_model)
         with _under("controller", otherwise="estimator"):
             scheme = Scheme(lifting, estimator, controller, initial_model, self.estimator.mixed_by())
         simulation = self.simulation or SimulationSection()
@@ -305,7 +309,9 @@ def _sentence(error: ValidationError, data: dict[str, Any]) -> str:
     first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
     kind, (path, fields, found) = first["type"], _locate(first["loc"], data)
     # A key may be any text; what is no plain word is shown quoted, so that it stays on its line.
-    key = ".".join(part if part.replace("-", "_").isidentifier() else describe(part) for part in path)
+    key = ".".join(
+        part if part.replace("-", "_").isidentifier() and len(part) <= 60 else describe(part) for part in path
+    )
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         got = describe(found["kind"]) if kind == "union_tag_invalid" else "no such key"
         *others, last = (section.model_fields["kind"].description for section in PLANTS)
@@ -333,6 +339,14 @@ def _locate(loc: tuple[int | str, ...], data: dict[str, Any]) -> tuple[list[str]
         return [first], dict(Config.model_fields), found
     name = str(loc[1])
     return [first, name], dict(section.model_fields), found.get(name)
+
+
+def _check_start(knowledge: Knowledge, initial_model: SignalModel) -> None:
+    try:
+        knowledge.check("A0 with B0", initial_model)
+    except InputError as error:
+        what = str(error).partition(";")[0]
+        raise InputError(f'{what}; "shift-of-ones" satisfies shift_rows, "rough" gives way to what is known') from None
 
 
 def _fit(name: str, rows: Matrix, shape: tuple[int, int], why: str) -> Array:

@@ -19,7 +19,14 @@ class LostControllability(ArithmeticError):
 
 
 def controllability_matrix(model: SignalModel) -> Array:
-    """Return [B, AB, ..., A^(n-1) B], shape (..., n, n q), as in the proof of Lemma 5."""
+    """Return [B, AB, ..., A^(n-1) B], shape (..., n, n q), as in the proof of Lemma 5.
+
+    Examples
+    --------
+    >>> controllability_matrix(SignalModel([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]]))
+    array([[0., 1.],
+           [1., 1.]])
+    """
     instance("model", model, SignalModel)
     blocks = [model.B]
     for _ in range(model.n - 1):
@@ -31,6 +38,11 @@ def margin(model: SignalModel) -> Array:
     """Return the smallest singular value of the controllability matrix, shape (...).
 
     Zero if the pair is not controllable; NaN where a power of A leaves the range of float64, so that nothing is known.
+
+    Examples
+    --------
+    >>> float(margin(SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])))  # no input reaches the first state
+    0.0
     """
     with np.errstate(over="ignore", invalid="ignore"):
         C = controllability_matrix(model)
@@ -59,6 +71,12 @@ class ConstantMixing:
     ------
     InputError
         If lam is outside [0, 1).
+
+    Examples
+    --------
+    >>> model = SignalModel([[1.0]], [[1.0]])
+    >>> float(ConstantMixing(0.5).choose(model, model, lambda pair: pair))
+    0.5
     """
 
     lam: float = 0.0
@@ -139,6 +157,13 @@ class LambdaSearch:
     Notes
     -----
     Source: Lemma 5 (Lemma 4 where Lemma 1, set in the revision's colour, is not counted) and Theorem 2(iii).
+
+    Examples
+    --------
+    >>> lost, kept = SignalModel([[1.0]], [[0.0]]), SignalModel([[1.0]], [[1.0]])
+    >>> lam = LambdaSearch(lambda_max=0.8).choose(lost, kept, lambda pair: pair)
+    >>> bool(margin(lost.mix(kept, lam)) > 0.5)
+    True
     """
 
     pair: Literal["lifted", "augmented"] = "augmented"

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from rhl._checks import Array, InputError, choice, instance
+from rhl._checks import Array, InputError, choice, instance, reason
 from rhl.bregman import Convex, Varying, called
 from rhl.closed_loop import start, step
 from rhl.controllability import LambdaSearch, margin
@@ -239,7 +239,7 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
         "Size",
         "note",
         f"A is {n} by {n}, B {n} by {q}: {n * (n + q)} parameters from {estimator.window} transitions of {n} numbers; "
-        f"augmented model of order {size}; about {_milliseconds(scheme):.1f} ms a step here",
+        f"augmented model of order {size}; {_pace(scheme)}",
     )
 
 
@@ -261,13 +261,16 @@ def _known(holds: bool | None) -> str:
     return "not known" if holds is None else "holds" if holds else "does not hold"
 
 
-def _milliseconds(scheme: Scheme) -> float:
+def _pace(scheme: Scheme) -> str:
     # The second of two steps: the first may load code.
     memory, y = start(scheme), np.ones(scheme.p)
-    step(scheme, memory, y)
-    began = perf_counter()
-    step(scheme, memory, y)
-    return 1e3 * (perf_counter() - began)
+    try:
+        step(scheme, memory, y)
+        began = perf_counter()
+        step(scheme, memory, y)
+    except ArithmeticError as error:
+        return f"a step from outputs of 1 fails: {reason(error)}"
+    return f"about {1e3 * (perf_counter() - began):.1f} ms a step here"
 
 
 def _of_instruments(sensor: Instrument | None, actuator: Instrument | None) -> Iterator[Finding]:

@@ -12,7 +12,13 @@ from rhl.model import SignalModel
 
 
 def remember(history: Array, newest: Array) -> Array:
-    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first; the oldest row falls out."""
+    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first; the oldest row falls out.
+
+    Examples
+    --------
+    >>> remember(np.array([[2.0], [1.0]]), np.array([3.0])).ravel()
+    array([3., 2.])
+    """
     return np.concatenate([newest[..., None, :], history[..., :-1, :]], axis=-2)
 
 
@@ -44,9 +50,13 @@ class DelayLifting:
 
     Examples
     --------
-    >>> DelayLifting(2, 1).lift(np.array([[3.0], [2.0], [1.0]]), count=2)
+    >>> lifting = DelayLifting(outputs=2, inputs=2)
+    >>> y, v = np.array([[3.0], [2.0], [1.0]]), np.array([[30.0], [20.0], [10.0]])  # newest first
+    >>> lifting.lift(y, count=2)  # x(k), x(k-1)
     array([[3., 2.],
            [2., 1.]])
+    >>> lifting.augmented_state(y, v)
+    array([ 3.,  2., 30.])
     """
 
     outputs: int
@@ -182,6 +192,15 @@ class DelayLifting:
         ------
         InputError
             If the columns of B are not a multiple of N_v.
+
+        Examples
+        --------
+        >>> augmented = DelayLifting(outputs=1, inputs=2).augment(SignalModel([[0.5]], [[1.0, 2.0]]))
+        >>> augmented.A
+        array([[0.5, 2. ],
+               [0. , 0. ]])
+        >>> augmented.B.ravel()
+        array([1., 1.])
         """
         instance("model", model, SignalModel)
         if model.q % self.inputs:

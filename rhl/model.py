@@ -34,6 +34,12 @@ class PredictorMaps:
     Notes
     -----
     Source: equation (5), Assumption 4(a). They need not be powers of one matrix.
+
+    Examples
+    --------
+    >>> maps = PredictorMaps(A=[[[1.0]], [[2.0]], [[4.0]]], B=[[[1.0]], [[2.0]]])
+    >>> maps.predict([3.0], [[0.0], [1.0]]).ravel()
+    array([ 3.,  6., 13.])
     """
 
     A: Array
@@ -161,6 +167,12 @@ class SignalModel:
         ------
         InputError
             If theta does not have n(n+q) entries.
+
+        Examples
+        --------
+        >>> SignalModel.from_theta([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], n=2, q=1).A
+        array([[1., 3.],
+               [2., 4.]])
         """
         n, q = integer("n", n, 1), integer("q", q, 1)
         theta = real_array("theta", theta, (n * (n + q),))
@@ -191,6 +203,12 @@ class SignalModel:
         -----
         The paper only says "a controllable signal model" (Section VI); these are this project's observation,
         checked by reproducing the published curves.
+
+        Examples
+        --------
+        >>> SignalModel.companion_of_ones(2, 1).A
+        array([[0., 1.],
+               [1., 1.]])
         """
         n, q = integer("n", n, 1), integer("q", q, 1)
         choice("inputs", inputs, get_args(InputMatrix))
@@ -233,7 +251,13 @@ class SignalModel:
         return cls(A, B)
 
     def step(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Return A x + B u, shape (..., n), equation (18)."""
+        """Return A x + B u, shape (..., n), equation (18).
+
+        Examples
+        --------
+        >>> SignalModel([[0.5]], [[1.0]]).step([2.0], [1.0])
+        array([2.])
+        """
         x = real_array("x", x, (self.n,))
         u = real_array("u", u, (self.q,))
         common_batch(A=(self.A, 2), x=(x, 1), u=(u, 1))
@@ -255,6 +279,11 @@ class SignalModel:
         ------
         InputError
             If the horizon is below 1, or a power of A leaves the range of float64.
+
+        Examples
+        --------
+        >>> SignalModel([[2.0]], [[1.0]]).predictor(3).A.ravel()
+        array([1., 2., 4., 8.])
         """
         horizon = integer("horizon", horizon, 1)
         powers = [np.broadcast_to(np.eye(self.n), self.A.shape)]
@@ -282,6 +311,11 @@ class SignalModel:
         ------
         InputError
             If the sizes differ or lam is outside [0, 1].
+
+        Examples
+        --------
+        >>> SignalModel([[1.0]], [[0.0]]).mix(SignalModel([[0.0]], [[1.0]]), 0.25).theta
+        array([0.75, 0.25])
         """
         instance("other", other, SignalModel)
         if (self.n, self.q) != (other.n, other.q):

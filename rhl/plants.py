@@ -141,7 +141,8 @@ class LinearPlant:
         if not system.isdtime(strict=True):
             raise InputError(_how_to_discretise(system, isinstance(system, control.TransferFunction)))
         if isinstance(system, control.TransferFunction):
-            return cls(*_realise(system))
+            with np.errstate(over="ignore", invalid="ignore"):
+                return cls(*_realise(system))
         if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
             raise InputError(
                 "system must have real matrices, got complex ones; give the real system that they stand for"
@@ -213,8 +214,10 @@ def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
     H = real_array("H", H, (None, square("F", F).shape[-1]))
     if F.ndim > 2 or H.ndim > 2:
         raise InputError(f"F and H must be single matrices, got shapes {F.shape} and {H.shape}; take one of the batch")
+    # Outputs may be in any units: a row counts for its direction. Its square may leave the range of float64.
+    largest = np.max(np.abs(H), axis=1, keepdims=True)
+    H = H / np.where(largest > 0, largest, 1.0)
     lengths = np.linalg.norm(H, axis=1, keepdims=True)
-    # Outputs may be in any units: a row counts for its direction.
     block = (H / np.where(lengths > 0, lengths, 1.0)).T
     size, basis, index = 1.0, np.zeros((len(F), 0)), 0
     while True:
@@ -272,6 +275,11 @@ def _realise(system: Any) -> tuple[Array, Array, Array]:
         rows = slice(at, at + len(Fj))
         F[rows, rows], H[:, rows], G[at, j] = Fj, Hj, 1.0
         at += len(Fj)
+    if not (np.all(np.isfinite(F)) and np.all(np.isfinite(H))):
+        raise InputError(
+            "system must have coefficients in the range of floating-point numbers once divided by the denominator's "
+            "first, got some beyond it; scale its input, its output or time"
+        )
     V, _ = observable_basis(F, H)
     return (F, G, H) if V.shape[1] == n else (V.T @ F @ V, V.T @ G, H @ V)
 
@@ -366,9 +374,10 @@ class FunctionPlant:
     def __post_init__(self) -> None:
         object.__setattr__(self, "n", integer("n", self.n, 1))
         object.__setattr__(self, "q", integer("q", self.q, 1))
-        for name, form, value in zip(self.names, ("(z, v)", "(z)"), (self.transition, self.measurement), strict=True):
-            if not callable(value):
-                raise InputError(f"{name} must be a function {name}{form}, got {describe(value)}")
+        functions: tuple[object, object] = (self.transition, self.measurement)
+        for name, form, function in zip(self.names, ("(z, v)", "(z)"), functions, strict=True):
+            if not callable(function):
+                raise InputError(f"{name} must be a function {name}{form}, got {describe(function)}")
         z, v = read_only(np.zeros(self.n)), read_only(np.zeros(self.q))
         found = {
             self._output_name: _called(self._output_name, self.measurement, None, z),

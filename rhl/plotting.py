@@ -37,7 +37,13 @@ _DRAWABLE = 1e100
 
 
 def style(theme: ThemeName) -> dict[str, Any]:
-    """Return matplotlib's settings for figures on a light or a dark page."""
+    """Return matplotlib's settings for figures on a light or a dark page.
+
+    Examples
+    --------
+    >>> style("light")["text.color"] != style("dark")["text.color"]
+    True
+    """
     colours = _COLOURS[theme]
     text = ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color", "legend.labelcolor")
     return dict.fromkeys(text, colours["text"]) | {
@@ -61,6 +67,22 @@ def style(theme: ThemeName) -> dict[str, Any]:
     }
 
 
+def css() -> str:
+    """Return the colours of figures as custom properties for the book's pages: --rhl-text, --rhl-grid, --rhl-1, ...
+
+    Examples
+    --------
+    >>> print(css().splitlines()[0])
+    html { --rhl-text: #222832; --rhl-grid: #c9ccd1; --rhl-1: #0072b2; --rhl-2: #d55e00; --rhl-3: #009e73; ... }
+    """
+    rules = []
+    for selector, colours in zip(("html", 'html[data-theme="dark"]'), _COLOURS.values(), strict=True):
+        named = {"text": colours["text"], "grid": colours["grid"]}
+        named |= {str(i): colour for i, colour in enumerate(colours["cycle"], start=1)}
+        rules.append(f"{selector} {{ {' '.join(f'--rhl-{name}: {colour};' for name, colour in named.items())} }}")
+    return "\n".join(rules) + "\n"
+
+
 def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
     """Make a figure of panels one below the other that share the step axis k.
 
@@ -74,6 +96,13 @@ def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
     Returns
     -------
     figure, list of axes
+
+    Examples
+    --------
+    >>> figure, axes = panels(2)
+    >>> held(axes[0], np.array([1.0, 0.5, 0.25]), "$y$")
+    >>> axes[1].get_xlabel()
+    'step $k$'
     """
     figure = Figure(figsize=(5.2, height * count + 0.4))
     axes = list(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
@@ -118,6 +147,12 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
     Returns
     -------
     Figure
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> [ax.get_ylabel() for ax in reproduction(linear_example().run(), "linear").axes]
+    ['output $y$', 'input $v$', '|difference|']
     """
     ours: dict[str, tuple[str, str, Array]]
     if experiment == "linear":
@@ -141,7 +176,14 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
 
 
 def run(trace: Trace, title: str = "") -> Figure:
-    """Draw outputs and their predictions, inputs, the terminal weight, and the controllability margins of one run."""
+    """Draw outputs and their predictions, inputs, the terminal weight, and the controllability margins of one run.
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> [ax.get_ylabel() for ax in run(linear_example().run()).axes]
+    ['output', 'input', 'terminal weight', 'controllability margin']
+    """
     figure, axes = panels(4)
     for i in range(trace.y.shape[1]):
         held(axes[0], trace.y[:, i], f"$y_{i + 1}$", color=f"C{i}")
@@ -163,6 +205,57 @@ def run(trace: Trace, title: str = "") -> Figure:
     return figure
 
 
+def opening(trace: Trace) -> str:
+    """Draw the linear example's output on the published one as HTML for the first page, whose style lets it move.
+
+    Parameters
+    ----------
+    trace : Trace
+        A run of ``published.linear_example()``.
+
+    Returns
+    -------
+    str
+        A figure with an inline SVG: one circle for each published sample, one path for our line.
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> opening(linear_example().run()).count("<circle")
+    41
+    """
+    published = curve("linear_y")
+    ours = trace.y[: len(published), 0]
+    top, width, height = float(np.ceil(np.max(np.abs([ours, published])) / 10) * 10), 640.0, 210.0
+    x = 50 + (width - 70) * np.arange(len(published)) / (len(published) - 1)
+
+    def up(values: Array) -> Array:
+        return np.asarray(height / 2 - 10 - (height / 2 - 22) * values / top)
+
+    path = f"M{x[0]:.1f} {up(ours)[0]:.1f}" + "".join(
+        f"H{at:.1f}V{level:.1f}" for at, level in zip(x[1:], up(ours)[1:], strict=True)
+    )
+    circles = "".join(
+        f'<circle style="--k:{k}" cx="{at:.1f}" cy="{level:.1f}" r="4.5"/>'
+        for k, (at, level) in enumerate(zip(x, up(published), strict=True))
+    )
+    axes = "".join(
+        f'<line class="axis" x1="{x[0]:.1f}" x2="{x[-1]:.1f}" y1="{level:.1f}" y2="{level:.1f}"/>'
+        f'<text x="42" y="{level + 5:.1f}" text-anchor="end">{str(round(value)).replace("-", "−")}</text>'
+        for value, level in zip((-top, 0.0, top), up(np.array([-top, 0.0, top])), strict=True)
+    )
+    marks = "".join(
+        f'<text x="{x[k]:.1f}" y="{height - 2:.1f}" text-anchor="middle">{k}</text>' for k in range(0, len(x), 10)
+    )
+    return (
+        f'<figure class="rhl-figure rhl-opening"><svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="The '
+        "output of the paper's linear example swings and goes to zero; the published circles lie on the line that was "
+        f'computed here.">{axes}{marks}{circles}<path class="ours" pathLength="1" d="{path}"/></svg>'
+        "<figcaption>Output y of the paper's linear example over the step k: the circles are published, the line was "
+        "computed while this page was built.</figcaption></figure>"
+    )
+
+
 @dataclass(frozen=True)
 class Picture:
     """A figure drawn twice, for light and for dark pages, that a notebook shows with its alternative text."""
@@ -170,6 +263,7 @@ class Picture:
     light: str
     dark: str
     alt: str
+    caption: str = ""
 
     def __repr__(self) -> str:
         return self.alt
@@ -185,10 +279,13 @@ class Picture:
         # A page without the book's theme switch (a notebook opened by itself) shows the light one only.
         alone = "html:not([data-theme])"
         rule = f"<style>{alone} .rhl-dark{{display:none}}{alone} .rhl-light{{background:#fff}}</style>"
-        return f"{rule}{image('light', self.light)}{image('dark', self.dark)}"
+        images = f"{rule}{image('light', self.light)}{image('dark', self.dark)}"
+        caption = f"<figcaption>{html.escape(self.caption)}</figcaption>" if self.caption else ""
+        # Images by themselves: the theme hides a caption that follows an image of the other theme.
+        return f'<figure class="rhl-figure"><div>{images}</div>{caption}</figure>'
 
 
-def show(draw: Callable[[], Figure], alt: str) -> Picture:
+def show(draw: Callable[[], Figure], alt: str, caption: str = "") -> Picture:
     """Draw a figure for both themes.
 
     Parameters
@@ -197,6 +294,8 @@ def show(draw: Callable[[], Figure], alt: str) -> Picture:
         Makes the figure; called once for each theme with its settings in force.
     alt : str
         What is to be seen, in a sentence, for those who cannot see it.
+    caption : str
+        What is drawn, in a sentence, for everybody; every figure of the book has one.
 
     Returns
     -------
@@ -206,11 +305,19 @@ def show(draw: Callable[[], Figure], alt: str) -> Picture:
     Raises
     ------
     InputError
-        If the alternative text is not a sentence.
+        If the alternative text, or a caption that is given, is not a sentence.
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> trace = linear_example().run()
+    >>> show(lambda: run(trace), alt="Output and input of the linear example go to zero.")
+    Output and input of the linear example go to zero.
     """
-    if len(alt.split()) < 4 or not alt.rstrip().endswith("."):
-        raise InputError(f"alt must be a sentence that says what the figure shows, got {alt!r}")
-    return Picture(_svg(draw, "light"), _svg(draw, "dark"), alt)
+    for name, text in (("alt", alt), ("caption", caption)):
+        if (text or name == "alt") and (len(text.split()) < 4 or not text.rstrip().endswith(".")):
+            raise InputError(f"{name} must be a sentence that says what the figure shows, got {text!r}")
+    return Picture(_svg(draw, "light"), _svg(draw, "dark"), alt, caption)
 
 
 def save(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeName = "light") -> None:
@@ -220,12 +327,28 @@ def save(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeN
     ------
     InputError
         If the file has another ending or cannot be written, or the theme is not known.
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> from tempfile import TemporaryDirectory
+    >>> trace = linear_example().run()
+    >>> with TemporaryDirectory() as folder:
+    ...     save(lambda: run(trace), Path(folder, "trace.svg"), theme="dark")
+    ...     Path(folder, "trace.svg").stat().st_size > 1000
+    True
     """
     write_whole(path, render(draw, path, theme))
 
 
 def render(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeName = "light") -> bytes:
-    """Return what ``save`` writes to the path, without writing it."""
+    """Return what ``save`` writes to the path, without writing it.
+
+    Examples
+    --------
+    >>> render(lambda: panels(1)[0], "empty.pdf")[:4]
+    b'%PDF'
+    """
     target = Path(path)
     if target.suffix not in FORMATS:
         raise InputError(f"path must end in one of {', '.join(FORMATS)}, got {target.name!r}")

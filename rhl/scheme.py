@@ -162,7 +162,7 @@ class Scheme:
         if not np.all(self.initial_model.theta > generator.lower):
             raise InputError(
                 f"the initial model must lie in the domain of {called(generator)}, entries above {generator.lower:g}, "
-                f"got {self.initial_model.theta.min():g}"
+                f"got {self.initial_model.theta.min():g}; choose one with larger entries, or another generator"
             )
         weight_matrix("Q", self.controller.Q, augmented.n)
         weight_matrix("R", self.controller.R, augmented.q)
@@ -174,7 +174,7 @@ class Scheme:
                 raise InputError(
                     "the initial model must be controllable for a lambda-search: "
                     f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
-                    f"got {least:.3g}"
+                    f"got {least:.3g}; choose another initial model, lower least_margin, or mix by a constant"
                 )
 
     @cached_property

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rhl._checks import Array, InputError, instance, integer, read_only, real_array, square
+from rhl._checks import Array, InputError, NotFiniteError, instance, integer, read_only, real_array, reason, square
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, Plant, check_plant, observable_basis
 
@@ -362,7 +362,14 @@ def rough_model(plant: LinearPlant, outputs: int, inputs: int) -> SignalModel:
                 f"stack {index} outputs and inputs or more"
             )
     m, p, q = min(outputs, inputs), part.p, part.q
-    core = signal_model(part.F, part.G, part.H, m)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            core = signal_model(part.F, part.G, part.H, m)
+    except (NotFiniteError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            f"plant must have powers of F up to {m} in the range of floating-point numbers, got {reason(error)}; stack "
+            "less, or scale its states"
+        ) from error
     A, B = np.zeros((outputs * p, outputs * p)), np.zeros((outputs * p, inputs * q))
     A[: m * p, : m * p], B[: m * p, : m * q] = core.A, core.B
     # y(k+1-i) for i >= m is the i-th block of x(k+1) and the one before it of x(k).

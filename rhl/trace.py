@@ -36,6 +36,17 @@ class Trace:
         What ran.
     steps : tuple of Step
         Every k, in order.
+
+    Examples
+    --------
+    >>> from rhl.published import linear_example
+    >>> trace = linear_example().run()
+    >>> len(trace), trace.y.shape, trace.margin_augmented.shape
+    (42, (42, 1), (42,))
+    >>> bool(trace.plan(7).residual() < 1e-9)
+    True
+    >>> list(trace.columns())
+    ['k', 'y1', 'v1', 'yhat1', 'z1', 'z2', 'z3', 'weight', 'lambda']
     """
 
     scheme: Scheme
@@ -151,7 +162,13 @@ class Trace:
 
 
 def header(p: int, q: int, n: int) -> list[str]:
-    """Return the names of a table's columns, for p outputs, q inputs and n plant states."""
+    """Return the names of a table's columns, for p outputs, q inputs and n plant states.
+
+    Examples
+    --------
+    >>> header(1, 1, 2)
+    ['k', 'y1', 'v1', 'yhat1', 'z1', 'z2', 'weight', 'lambda']
+    """
     groups = (("y", p), ("v", q), ("yhat", p), ("z", n))
     return ["k", *(f"{name}{i + 1}" for name, count in groups for i in range(count)), "weight", "lambda"]
 

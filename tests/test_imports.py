@@ -34,6 +34,7 @@ ORDER = [
     "config",
     "plotting",
     "book",
+    "explore",
     "cli",
 ]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.

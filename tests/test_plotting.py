@@ -67,6 +67,39 @@ def test_alternative_text_must_be_a_sentence(linear, alt):
         plotting.show(lambda: plotting.run(linear), alt=alt)
 
 
+@pytest.mark.parametrize("caption", ["figure.png", "A caption without an end"])
+def test_caption_must_be_a_sentence_where_there_is_one(linear, caption):
+    with pytest.raises(InputError, match="caption must be a sentence"):
+        plotting.show(lambda: plotting.run(linear), alt=ALT, caption=caption)
+
+
+def test_caption_is_shown_as_text(linear):
+    page = plotting.show(lambda: plotting.run(linear), alt=ALT, caption="Two signals, y < 1, over k.")._repr_html_()
+    assert "<figcaption>Two signals, y &lt; 1, over k.</figcaption></figure>" in page
+    assert "figcaption" not in plotting.show(lambda: plotting.run(linear), alt=ALT)._repr_html_()
+
+
+def test_pages_have_the_colours_of_figures():
+    light, dark = plotting.css().splitlines()
+    for theme, rule in (("light", light), ("dark", dark)):
+        cycle = plotting.style(theme)["axes.prop_cycle"].by_key()["color"]
+        assert all(f"--rhl-{i}: {colour};" in rule for i, colour in enumerate(cycle, start=1))
+    assert "dark" in dark
+    assert "dark" not in light
+
+
+def test_first_page_draws_the_samples(linear):
+    page = plotting.opening(linear)
+    at = np.array([[float(x), float(y)] for x, y in re.findall(r'cx="(\S+)" cy="(\S+)"', page)])
+    path = [float(y) for y in re.findall(r"(?:M\S+ |V)([\d.]+)", re.search(r' d="(\S+ [^"]+)"', page)[1])]
+    assert len(at) == len(path) == len(curve("linear_y"))
+    # Downwards on the page is downwards in the signal, in proportion.
+    slope, _ = np.polyfit(curve("linear_y"), at[:, 1], 1)
+    assert slope < 0
+    assert np.abs(np.array(path) - at[:, 1]).max() < abs(slope) * 0.12 + 0.2
+    assert np.abs(np.polyval(np.polyfit(curve("linear_y"), at[:, 1], 1), linear.y[:41, 0]) - path).max() < 0.2
+
+
 @pytest.mark.parametrize(("suffix", "begin"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".png", b"\x89PNG")])
 def test_files_are_the_same_each_time(linear, tmp_path, suffix, begin):
     paths = [tmp_path / f"{name}{suffix}" for name in "ab"]

@@ -204,7 +204,7 @@ def check_decaying(effort: Effort, counted: int | None = None) -> Evidence:
 
 
 def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
-    """Check the error bound after (8) with the omegas of :func:`omegas`, for a horizon longer than the window.
+    """Check the error bound after (8), :func:`~rhl.claims.estimation.omegas`, for a horizon longer than the window.
 
     Parameters
     ----------

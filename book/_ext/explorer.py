@@ -1,0 +1,52 @@
+"""Bring the pages with sliders what they load: data computed from `rhl` during the build, and their scripts."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+
+from rhl import explore, plotting
+
+# Which page asks for which scripts of book/_static/explore; other pages load none of them.
+SCRIPTS = {"book/explore": ("chart.js", "runs.js", "lemmas.js")}
+
+
+def compute(folder: Path) -> None:
+    """Fill the folder with one file for each of `rhl.explore.files`; it appears whole or not at all."""
+    begun = folder.with_name(f"{folder.name}.begun")
+    shutil.rmtree(begun, ignore_errors=True)
+    begun.mkdir(parents=True)
+    for name, content in explore.files():
+        # Scripts and not bare JSON: a book opened from a folder may load scripts, but a browser lets it fetch nothing.
+        (begun / f"{name}.js").write_text(f'rhlExplore.take("{name}",{content})\n', encoding="utf-8")
+    begun.rename(folder)
+
+
+def place(app: Sphinx) -> None:
+    """Put data and colours where the pages look for them.
+
+    The data are kept beside the book; tools/fresh.py drops them, as it does outputs of notebooks, when `rhl/` changes.
+    """
+    if app.builder.format != "html":
+        return
+    kept = Path(app.outdir).parent / "explore"
+    if not kept.exists():
+        compute(kept)
+    static = Path(app.outdir, "_static")
+    shutil.copytree(kept, static / "explore" / "data", dirs_exist_ok=True)
+    (static / "colours.css").write_text(plotting.css(), encoding="utf-8")
+
+
+def add_scripts(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+    """Name a page's scripts in its head."""
+    for script in SCRIPTS.get(page, ()):
+        app.add_js_file(f"explore/{script}", loading_method="defer")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.connect("builder-inited", place)
+    app.connect("html-page-context", add_scripts)
+    app.add_css_file("colours.css")
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,257 @@
+/* What the explorers share: data loaded when they are needed, charts drawn as SVG, labelled sliders.
+
+   Classic scripts, not modules, and data in scripts, not fetched: so it works from a folder without a server too. */
+"use strict";
+
+const rhlExplore = (() => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const DATA = new URL("data/", document.currentScript.src);
+  const FLOOR = 1e-16; // what is smaller is rounding, and is drawn here on a logarithmic axis
+  const wanted = new Map();
+
+  /* ---- data */
+
+  function load(name) {
+    if (!wanted.has(name)) {
+      const entry = {};
+      entry.promise = new Promise((resolve, reject) => {
+        entry.resolve = resolve;
+        const script = document.createElement("script");
+        script.src = new URL(`${name}.js`, DATA);
+        script.onerror = () => {
+          wanted.delete(name); // so that the next move of a slider tries again
+          reject(new Error(`${name}.js could not be loaded`));
+        };
+        document.head.append(script);
+      });
+      wanted.set(name, entry);
+    }
+    return wanted.get(name).promise;
+  }
+
+  function take(name, data) {
+    wanted.get(name)?.resolve(data);
+  }
+
+  /* ---- numbers as text */
+
+  const raised = (n) => String(n).replace(/./g, (c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[c] ?? "⁻");
+
+  function short(value) {
+    if (value === null || value === undefined) return "–";
+    if (value === 0) return "0";
+    const size = Math.abs(value);
+    if (size >= 0.001 && size < 1e4) return String(Number(value.toPrecision(3))).replace("-", "−");
+    const [digits, power] = value.toExponential(2).split("e");
+    const front = Number(digits);
+    return `${front === 1 ? "" : front === -1 ? "−" : `${String(front).replace("-", "−")}·`}10${raised(Number(power))}`;
+  }
+
+  const power = (value) => (value >= 0.1 && value <= 100 ? String(value) : `10${raised(Math.round(Math.log10(value)))}`);
+
+  /* ---- elements */
+
+  function element(name, attributes = {}, ...children) {
+    const made = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    made.append(...children);
+    return made;
+  }
+
+  function shape(name, attributes, parent, text) {
+    const made = document.createElementNS(SVG, name);
+    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+    if (text !== undefined) made.textContent = text;
+    parent.append(made);
+    return made;
+  }
+
+  let made = 0;
+
+  /* A slider over the places 0 ... count-1; `say(place)` is its value in words, `move(place)` is called on each move. */
+  function slider({ words, symbol, count, place, say, move }) {
+    const id = `rhl-slider-${(made += 1)}`;
+    const input = element("input", { type: "range", id, min: 0, max: count - 1, step: 1, value: place });
+    const output = element("output", { for: id });
+    const sign = element("i", {}, symbol);
+    const show = () => {
+      const said = say(Number(input.value));
+      output.textContent = said;
+      input.setAttribute("aria-valuetext", `${symbol} = ${said}`);
+    };
+    input.addEventListener("input", () => {
+      show();
+      move(Number(input.value));
+    });
+    show();
+    const row = element("div", { class: "slider" }, element("label", { for: id }, `${words} `, sign), output, input);
+    const set = (value) => {
+      input.value = value;
+      show();
+    };
+    return { row, input, set, show, get place() { return Number(input.value); } };
+  }
+
+  /* A line of text that is also read out, once the sliders rest. */
+  function status() {
+    const line = element("p", { role: "status", "aria-live": "polite", class: "status" });
+    let timer;
+    line.say = (text) => {
+      clearTimeout(timer);
+      timer = setTimeout(() => { line.textContent = text; }, 250);
+    };
+    return line;
+  }
+
+  /* ---- axes */
+
+  function decades(low, high) {
+    const first = Math.floor(Math.log10(low));
+    const last = Math.max(Math.ceil(Math.log10(high)), first + 1);
+    const every = Math.max(1, Math.ceil((last - first) / 4));
+    const ticks = [];
+    for (let power = last; power >= first; power -= every) ticks.push(10 ** power);
+    return { low: 10 ** first, high: 10 ** last, ticks };
+  }
+
+  function even(low, high, parts) {
+    const rough = (high - low) / parts;
+    const unit = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map((factor) => factor * unit).find((width) => width >= rough * 0.999);
+    const [first, last] = [Math.floor(low / step + 1e-9), Math.ceil(high / step - 1e-9)];
+    const ticks = [];
+    for (let i = first; i <= last; i += 1) ticks.push(Number((i * step).toPrecision(12)));
+    return { low: first * step, high: last * step, ticks };
+  }
+
+  function powers(low, high) {
+    const top = Math.ceil(Math.log10(Math.max(-low, high)));
+    const every = Math.max(1, Math.ceil(top / 2));
+    const ticks = [0];
+    for (let power = every; power <= top; power += every) {
+      if (high > 0) ticks.push(10 ** power);
+      if (low < 0) ticks.unshift(-(10 ** power));
+    }
+    return { low: low < 0 ? -(10 ** top) : 0, high: high > 0 ? 10 ** top : 0, ticks };
+  }
+
+  const bend = {
+    even: (v) => v,
+    log: (v) => Math.log10(Math.max(v, FLOOR)),
+    signed: (v) => Math.sign(v) * Math.log10(1 + Math.abs(v)),
+  };
+
+  /* The vertical axis that holds all values: logarithmic where asked for, and signed-logarithmic where they explode. */
+  function axis(values, log) {
+    const finite = values.filter((v) => v !== null && Number.isFinite(v));
+    if (log) {
+      const positive = finite.map((v) => Math.max(v, FLOOR));
+      return { kind: "log", ...decades(Math.min(...positive), Math.max(...positive)) };
+    }
+    const [low, high] = [Math.min(0, ...finite), Math.max(0, ...finite)];
+    if (Math.max(-low, high) > 1e6) return { kind: "signed", ...powers(low, high) };
+    return { kind: "even", ...even(low, low === high ? low + 1 : high, 3) };
+  }
+
+  /* ---- a chart: a title, two axes, and layers of curves */
+
+  class Chart {
+    constructor({ title, log = false, across, height = 170, frame = [] }) {
+      Object.assign(this, { title, log, across, height, frame, layers: [], mark: null });
+      this.legend = element("span", { class: "legend" });
+      this.figure = element("figure", {}, element("figcaption", {}, element("b", {}, title), " ", this.legend));
+      this.canvas = element("div", { class: "canvas" });
+      this.figure.append(this.canvas);
+      new ResizeObserver(() => this.paint()).observe(this.canvas);
+    }
+
+    /* layers: {x, y, kind: "steps" | "line" | "dots", colour: 1 ... 4, label}; mark: {x, text} is a vertical line. */
+    draw(layers, mark = null) {
+      Object.assign(this, { layers, mark });
+      this.legend.replaceChildren(
+        ...layers.filter((layer) => layer.label).map((layer) =>
+          element("span", { class: `key ${layer.kind} c${layer.colour}` }, layer.label)));
+      this.paint();
+    }
+
+    paint() {
+      const width = this.canvas.clientWidth;
+      if (!width || !this.layers.length) return;
+      const height = width < 260 ? this.height * 0.62 : this.height;
+      const [left, right, top, bottom] = [46, width - 8, 8, height - 30];
+      const values = this.layers.flatMap((layer) => layer.y);
+      const up = axis(values.concat(this.frame), this.log);
+      const bent = bend[up.kind];
+      const [low, high] = [bent(up.low), bent(up.high)];
+      const { from, to, name } = this.across;
+      const X = (v) => left + ((v - from) / (to - from)) * (right - left);
+      const Y = (v) => bottom - ((Math.min(Math.max(bent(v), low), high) - low) / (high - low)) * (bottom - top);
+
+      const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe() };
+      const svg = shape("svg", view, element("div"));
+      for (const tick of up.ticks) {
+        shape("line", { class: "grid", x1: left, x2: right, y1: Y(tick), y2: Y(tick) }, svg);
+        const text = up.kind === "log" ? power(tick) : short(tick);
+        shape("text", { class: "tick up", x: left - 5, y: Y(tick) + 4, "data-value": tick }, svg, text);
+      }
+      for (const tick of even(from, to, width < 260 ? 3 : 5).ticks.filter((v) => v >= from && v <= to)) {
+        shape("line", { class: "grid", x1: X(tick), x2: X(tick), y1: top, y2: bottom }, svg);
+        shape("text", { class: "tick along", x: X(tick), y: bottom + 13, "data-value": tick }, svg, short(tick));
+      }
+      shape("text", { class: "name", x: right, y: height - 3 }, svg, name);
+      for (const layer of this.layers) this.curve(svg, layer, X, Y);
+      if (this.mark) {
+        const at = X(this.mark.x);
+        const end = at > (left + right) / 2;
+        shape("line", { class: "mark", x1: at, x2: at, y1: top, y2: bottom }, svg);
+        shape("text", { class: end ? "note end" : "note", x: at + (end ? -4 : 4), y: top + 11 }, svg, this.mark.text);
+      }
+      this.canvas.replaceChildren(svg);
+    }
+
+    curve(svg, { x, y, kind, colour }, X, Y) {
+      const seen = x.map((at, i) => [at, y[i]]).filter(([, value]) => value !== null && value !== undefined);
+      if (kind === "dots") {
+        const group = shape("g", { class: `dots c${colour}` }, svg);
+        for (const [at, value] of seen) shape("circle", { cx: X(at).toFixed(2), cy: Y(value).toFixed(2), r: 2.6 }, group);
+        return;
+      }
+      let path = "";
+      let gap = true;
+      x.forEach((at, i) => {
+        if (y[i] === null || y[i] === undefined) { gap = true; return; }
+        const [a, b] = [X(at).toFixed(2), Y(y[i]).toFixed(2)];
+        path += gap ? `M${a} ${b}` : kind === "steps" ? `H${a}V${b}` : `L${a} ${b}`;
+        gap = false;
+      });
+      shape("path", { class: `curve c${colour}`, d: path }, svg);
+    }
+
+    describe() {
+      const parts = this.layers.filter((layer) => layer.kind !== "dots").map(({ y, label }) => {
+        const known = y.filter((value) => value !== null);
+        return `${label ?? ""} from ${short(Math.min(...known))} to ${short(Math.max(...known))}`;
+      });
+      return `${this.title} over ${this.across.name}: ${parts.join(", ")}`;
+    }
+  }
+
+  /* Put the explorer where the static picture is, once it can be used; until then, and if it cannot, the picture stays. */
+  function install(name, build) {
+    const host = document.querySelector(`[data-explore="${name}"]`);
+    if (!host) return;
+    load(name)
+      .then((data) => {
+        build(host, data);
+        host.hidden = false;
+        document.querySelector(`.tag_explore-${name}`)?.classList.add("explored");
+        host.dispatchEvent(new Event("ready"));
+      })
+      .catch((error) => {
+        host.hidden = false;
+        host.replaceChildren(element("p", { role: "status" }, `The sliders cannot be shown: ${error.message}.`));
+      });
+  }
+
+  return { load, take, short, element, shape, slider, status, Chart, install };
+})();
