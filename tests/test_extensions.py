@@ -104,7 +104,7 @@ def trail_faults(pages):
             target = link["href"].rpartition("../")[2].partition("#")[0]
             if link.text in ("Code", "Tests") and not pages[target].select(f".trail a[href$='{back}']"):
                 found.append(f"{name}: {target} does not lead back")
-        if proof and not proof.select(f"h2 + .trail a[href$='#{block['id']}']"):
+        if proof and not proof.select(f":is(h2, h3) + .trail a[href$='#{block['id']}']"):
             found.append(f"{name}: the proof does not lead back")
     return found
 

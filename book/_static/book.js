@@ -6,8 +6,7 @@
   // Parts that scroll sideways take the keyboard's focus, but only while they are wider than the page.
   const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display]";
   const mark = (part) => {
-    const scrolls =
-      part.scrollWidth > part.clientWidth + 1 && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
+    const scrolls = part.scrollWidth > part.clientWidth && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
     if (scrolls && part.tabIndex !== 0) {
       part.tabIndex = 0;
       part.dataset.scrolls = "";
@@ -59,7 +58,7 @@
   };
 
   addEventListener("DOMContentLoaded", () => {
-    for (const link of document.querySelectorAll(".bd-article a.internal[href*='notebooks/'], .bd-article a.internal[href$='.html'], .bd-article a[href*='#stated-']")) {
+    for (const link of document.querySelectorAll(".bd-article a.internal")) {
       link.addEventListener("pointerenter", (event) => event.pointerType === "mouse" && soon(() => open(link)));
       link.addEventListener("pointerleave", () => soon(close));
       link.addEventListener("focus", () => link.matches(":focus-visible") && soon(() => open(link)));
