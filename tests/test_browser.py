@@ -130,7 +130,7 @@ def test_the_packed_site_opens_from_a_local_server(chromium, site, tmp_path):
     with seen.serve(tmp_path / "rhl-book") as address:
         for name in ("book/index.html", "notebooks/10-lemma-5.html"):
             with seen.visit(chromium, address, name, "dark") as (page, found):
-                assert page.locator("h1").count() == 1
+                assert page.locator("article h1").count() == 1
             assert found == []
 
 

@@ -71,6 +71,7 @@ def test_bibtex_is_the_bibliography_and_the_companion():
 AMISS = """<script src="../_static/vendor/fontawesome/6/js/all.min.js?digest=1"></script>
 <link rel="preload" as="font" type="font/woff2" crossorigin href="_static/webfonts/fa-brands-400.woff2" />
 <link rel="preload" as="font" type="font/woff2" crossorigin href="_static/webfonts/fa-solid-900.woff2" />
+<img src="_static/minus.png" class="toggler" id="toggle-1" style="display: none" alt="-" />
 <form class="bd-search" action="search.html"><input id="search-input"></form><input id="search-input">"""
 
 

@@ -18,6 +18,11 @@ MENDINGS = {
         re.compile(r'\s*<link rel="preload"[^>]*fa-(?:brands|regular)-400\.woff2" ?/>'),
         "",
     ),
+    # The index of modules folds its packages by a picture that is called "-".
+    "a picture without words": (
+        re.compile(r'(<img [^>]*class="toggler"[^>]*alt=)"-"'),
+        r'\1"Fold or unfold this package."',
+    ),
     # The search page has a field of its own beside the one that the search button opens, under the same id.
     "one id for two search fields": (
         re.compile(r'(<form class="bd-search[^>]*>(?:(?!</form>).)*id=")search-input(".*id="search-input")', re.DOTALL),
