@@ -1,6 +1,7 @@
 # Two commands matter: `make book` and `make test`. `make` alone lists them all.
 PYTHON ?= python3
 PORT ?= 8000
+SITE ?= build/rhl-book.tar.gz
 
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -10,7 +11,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test serve verify bench lock clean
+.PHONY: help env book test serve site pdf verify bench lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -29,6 +30,14 @@ test: env ## lint, types, library, notebooks, README and the book
 serve: env ## show the built book on http://localhost:8000 (PORT=... for another port)
 	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
 	python -m http.server $(PORT) --bind localhost --directory build/_build/html
+
+site: env ## pack the built book into one file that opens from any local server: build/rhl-book.tar.gz (SITE=... for another)
+	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
+	tar --create --gzip --file $(SITE) --directory build/_build --transform 's,^html,rhl-book,' html
+	@ls -sh $(SITE)
+
+pdf: env ## print the built book into build/rhl-book.pdf, with Debian's Chromium
+	python tools/print.py build/rhl-book.pdf
 
 verify: env ## every claim of the paper, and both simulations against its published data
 	rhl reproduce linear

@@ -1,6 +1,29 @@
-"""Generated examples are the same in every run, and slow machines are no failure."""
+"""Generated examples are the same in every run, and slow machines are no failure; what needs a built book says so."""
+
+import os
+from pathlib import Path
+from typing import NoReturn
 
 import hypothesis
+import pytest
+
+from tools import fresh
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
 hypothesis.settings.load_profile("repeatable")
+
+ROOT = Path(__file__).resolve().parent.parent
+HTML = ROOT / fresh.BUILT / "html"
+
+
+def needed(reason: str) -> NoReturn:
+    """Skip what cannot run here for a reason; in continuous integration, fail."""
+    pytest.fail(reason) if os.environ.get("CI") == "true" else pytest.skip(reason)
+
+
+def current_book() -> Path:
+    """The folder of the built book; without an up-to-date one, skips, and in continuous integration fails."""
+    now = {"outputs": fresh.digest(ROOT, fresh.OUTPUTS_NEED), "pages": fresh.digest(ROOT, fresh.PAGES_NEED)}
+    if fresh.read_record(ROOT) != now:
+        needed("no built book that is newer than its sources; `make book` makes one")
+    return HTML

@@ -1,22 +1,16 @@
 """The book as configured, and the book as built: each check is a function, and each is seen to find its fault."""
 
 import json
-import os
 import posixpath
 import re
 from itertools import pairwise
-from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
 import yaml
 from bs4 import BeautifulSoup
 
-from tools import fresh
-
-ROOT = Path(__file__).resolve().parent.parent
-HTML = ROOT / fresh.BUILT / "html"
-
+from tests.conftest import HTML, ROOT, current_book
 
 # ---------------------------------------------------------------- as configured
 
@@ -215,11 +209,7 @@ def faults(pages, files, toc):
 @pytest.fixture(scope="module")
 def built():
     """(pages, files) of the built book; without an up-to-date one, skips, and in continuous integration fails."""
-    pages_now = fresh.digest(ROOT, fresh.PAGES_NEED)
-    outputs_now = fresh.digest(ROOT, fresh.OUTPUTS_NEED)
-    if fresh.read_record(ROOT) != {"outputs": outputs_now, "pages": pages_now}:
-        reason = "no built book that is newer than its sources; `make book` makes one"
-        pytest.fail(reason) if os.environ.get("CI") == "true" else pytest.skip(reason)
+    current_book()
     files = {path.relative_to(HTML).as_posix(): path for path in HTML.rglob("*") if path.is_file()}
     pages = {
         name: BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser")

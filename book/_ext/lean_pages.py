@@ -1,0 +1,62 @@
+"""Mend what the theme's templates leave amiss in every page, as text, after they are written.
+
+Each mending names what it takes away; one that finds nothing to mend on any page fails the build, so that none of them
+outlives its reason.
+"""
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+
+MENDINGS = {
+    # The icons come as fonts and, once more, as 1.5 MB of script; the fonts are enough.
+    "icons as a script": (re.compile(r'\s*<script src="[^"]*vendor/fontawesome/[^"]*\.js[^"]*"></script>'), ""),
+    # Brand icons are fetched ahead on every page, and the book shows none.
+    "fonts fetched ahead and not used": (
+        re.compile(r'\s*<link rel="preload"[^>]*fa-(?:brands|regular)-400\.woff2" ?/>'),
+        "",
+    ),
+    # The index of modules folds its packages by a picture that is called "-".
+    "a picture without words": (
+        re.compile(r'(<img [^>]*class="toggler"[^>]*alt=)"-"'),
+        r'\1"Fold or unfold this package."',
+    ),
+    # The search page has a field of its own beside the one that the search button opens, under the same id.
+    "one id for two search fields": (
+        re.compile(r'(<form class="bd-search[^>]*>(?:(?!</form>).)*id=")search-input(".*id="search-input")', re.DOTALL),
+        r"\1search-input-hidden\2",
+    ),
+}
+
+
+def mend(text: str) -> tuple[str, set[str]]:
+    """The page mended, and the names of what was found on it."""
+    found = set()
+    for name, (pattern, replacement) in MENDINGS.items():
+        text, count = pattern.subn(replacement, text)
+        if count:
+            found.add(name)
+    return text, found
+
+
+def mend_pages(app: Sphinx, exception: Exception | None) -> None:
+    """Mend every page of the book."""
+    if exception or app.builder.format != "html":
+        return
+    found = set()
+    for path in Path(app.outdir).rglob("*.html"):
+        before = path.read_text(encoding="utf-8")
+        after, names = mend(before)
+        found |= names
+        if after != before:
+            path.write_text(after, encoding="utf-8")
+    if missing := sorted(MENDINGS.keys() - found):
+        raise ExtensionError(f"nothing to mend any more, drop it from lean_pages: {', '.join(missing)}")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.connect("build-finished", mend_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,179 @@
+"""Statements with the paper's own numbers, and the way between statement, proof, checks, code and tests.
+
+The blocks are written `{prf:lemma} Lemma 5 (a remark)`, as in sphinx-proof. That extension counts by itself, which
+gives other numbers than the paper's, and repeats its ids; here the title is the argument as it stands.
+"""
+
+import json
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+from bs4 import BeautifulSoup
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.domains import Domain
+from sphinx.domains.std import StandardDomain
+from sphinx.environment import BuildEnvironment
+from sphinx.util.docutils import SphinxDirective
+
+from rhl.claims.claim import Claim
+from rhl.claims.ledger import CLAIMS
+
+# Labels that begin so mark the statement of the paper that a page is about.
+STATED = "stated-"
+PREVIEWS = "statements.json"
+
+
+def standard(env: BuildEnvironment) -> StandardDomain:
+    """The domain that keeps the labels of all pages."""
+    return cast(StandardDomain, env.get_domain("std"))
+
+
+class Statement(SphinxDirective):
+    """A statement under the title that is given as its argument."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+    has_content = True
+    option_spec: ClassVar[dict[str, Any]] = {
+        "label": directives.unchanged_required,
+        "class": directives.class_option,
+        "nonumber": directives.flag,  # known to sphinx-proof; here nothing is counted anyway
+    }
+
+    def run(self) -> list[nodes.Node]:
+        """Make an admonition whose label can be linked to from every page."""
+        block = nodes.admonition(classes=["statement", self.name.partition(":")[2], *self.options.get("class", [])])
+        self.set_source_info(block)
+        words, messages = self.state.inline_text(self.arguments[0], self.lineno)
+        title = nodes.title(self.arguments[0], "", *words)
+        block += [title, *messages]
+        if label := self.options.get("label"):
+            block["ids"].append(label)
+            standard(self.env).note_hyperlink_target(label, self.env.docname, label, title.astext())
+        self.state.nested_parse(self.content, self.content_offset, block)
+        return [block]
+
+
+class StatementDomain(Domain):
+    """The kinds of statement that the book knows."""
+
+    name = "prf"
+    label = "Statements"
+    directives = dict.fromkeys(
+        ("theorem", "lemma", "proposition", "corollary", "assumption", "definition", "remark"), Statement
+    )
+
+    def merge_domaindata(self, docnames: Any, otherdata: dict[str, Any]) -> None:
+        """Nothing to merge: labels live in the standard domain."""
+
+
+def module_of(claim: Claim) -> str:
+    """The module that checks a claim; empty where nothing does."""
+    check = claim.stated.func if isinstance(claim.stated, partial) else claim.stated
+    return check.__module__ if check else ""
+
+
+def docname_of(claim: Claim) -> str:
+    """The page of a claim, as Sphinx names it."""
+    return claim.page.rpartition(".")[0]
+
+
+def test_id(claim: Claim) -> str:
+    """The anchor of a claim's tests on the page of the tests."""
+    return Path(claim.test).stem.replace("_", "-")
+
+
+def trail(app: Sphinx, docname: str, claims: list[Claim], proof: str = "", here: str = "") -> list[tuple[str, str]]:
+    """What belongs to these claims, as (words, address seen from `docname`), in the order of an argument.
+
+    `proof` is the id of the proof's section on this page, `here` the word for where one is already.
+    """
+
+    def to(page: str, anchor: str = "") -> str:
+        return app.builder.get_relative_uri(docname, page) + (f"#{anchor}" if anchor else "")
+
+    pages = list(dict.fromkeys(docname_of(claim) for claim in claims))
+    labels = standard(app.env).anonlabels
+    stated = [(page, id) for page, id in labels.values() if page in pages and id.startswith(STATED)]
+    links = [("Statement", to(*stated[0]))] if stated else [("Page", to(pages[0]))]
+    if proof:
+        links.append(("Proof", f"#{proof}"))
+    links.append((f"Checks ({len(claims)})", to("book/ledger", claims[0].id)))
+    modules = list(dict.fromkeys(filter(None, map(module_of, claims))))
+    links += [("Code", to(f"_modules/{module.replace('.', '/')}")) for module in modules[:1]]
+    links += [("Tests", to("book/checks", test_id(claims[0])))]
+    return [(words, address) for words, address in links if words.partition(" ")[0] != here]
+
+
+def paragraph(links: list[tuple[str, str]]) -> nodes.paragraph:
+    """A trail as a line of text."""
+    line = nodes.paragraph(classes=["trail"])
+    for i, (words, address) in enumerate(links):
+        line += [nodes.Text(" · ")] if i else []
+        line += nodes.reference("", words, refuri=address, internal=True)
+    return line
+
+
+def sections(doctree: nodes.document, start: str) -> Iterator[nodes.section]:
+    """The sections with an id that begins so."""
+    for section in doctree.findall(nodes.section):
+        if any(id.startswith(start) for id in section["ids"]):
+            yield section
+
+
+def add_trails(app: Sphinx, doctree: nodes.document, docname: str) -> None:
+    """Put a trail under the page's statement, under its proof's heading, and under each heading of the tests."""
+    if app.builder.format != "html":
+        return
+    if docname == "book/checks":
+        for section in sections(doctree, "test-"):
+            claims = [claim for claim in CLAIMS if test_id(claim) in section["ids"]]
+            if claims:
+                section.insert(1, paragraph(trail(app, docname, claims, here="Tests")))
+    claims = [claim for claim in CLAIMS if docname_of(claim) == docname]
+    stated = [block for block in doctree.findall(nodes.admonition) if any(id.startswith(STATED) for id in block["ids"])]
+    if claims and stated:
+        proofs = list(sections(doctree, "the-proof"))
+        proof = proofs[0]["ids"][0] if proofs else ""
+        stated[0] += paragraph(trail(app, docname, claims, proof, here="Statement"))
+        if proofs:
+            proofs[0].insert(1, paragraph(trail(app, docname, claims, here="Proof")))
+
+
+def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
+    """Put a trail over the source of a module that checks claims."""
+    module = pagename.removeprefix("_modules/").replace("/", ".")
+    claims = [claim for claim in CLAIMS if module_of(claim) == module]
+    if claims and pagename.startswith("_modules/"):
+        links = trail(app, pagename, claims, here="Code")
+        line = " · ".join(f'<a class="reference internal" href="{address}">{words}</a>' for words, address in links)
+        context["body"] = context["body"].replace("</h1>", f'</h1><p class="trail">{line}</p>', 1)
+
+
+def write_previews(app: Sphinx, exception: Exception | None) -> None:
+    """Collect the pages' statements in one file, from which links show them under the pointer."""
+    if exception or app.builder.format != "html":
+        return
+    previews = {}
+    for docname in sorted({docname_of(claim) for claim in CLAIMS} & app.env.found_docs):
+        page = BeautifulSoup(Path(app.outdir, f"{docname}.html").read_text(encoding="utf-8"), "html.parser")
+        if block := page.select_one(f".statement[id^={STATED}]"):
+            for tag in block.select(".trail, .headerlink"):
+                tag.decompose()
+            for tag in [block, *block.select("[id]")]:
+                del tag["id"]  # it may be shown on the page where it stands
+            previews[f"{docname}.html"] = str(block)
+    Path(app.outdir, "_static", PREVIEWS).write_text(json.dumps(previews), encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register with Sphinx."""
+    app.add_domain(StatementDomain)
+    app.connect("doctree-resolved", add_trails)
+    app.connect("html-page-context", add_trail_to_code)
+    app.connect("build-finished", write_previews)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,98 @@
+"""At the foot of every page: its notebook, how to cite it and, where the book has a public address, its other homes."""
+
+import html
+import shutil
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+import yaml
+from sphinx.application import Sphinx
+
+
+def addresses(repository: str, branch: str, notebook: str, page: str) -> dict[str, str]:
+    """Where else a page is: Binder, Colab and GitHub Pages, all from the address of the repository.
+
+    `notebook` is the notebook's path in the repository, empty where there is none; no repository, no addresses.
+    """
+    if not repository:
+        return {}
+    parts = urlsplit(repository)
+    owner, _, name = parts.path.strip("/").partition("/")
+    if parts.netloc != "github.com" or not owner or not name or "/" in name:
+        raise ValueError(f"repository.url must look like https://github.com/OWNER/NAME, got {repository}")
+    at = f"{owner}/{name}"
+    found = {}
+    if notebook:
+        found["Binder"] = f"https://mybinder.org/v2/gh/{at}/{branch}?urlpath={quote(f'lab/tree/{notebook}', safe='')}"
+        found["Colab"] = f"https://colab.research.google.com/github/{at}/blob/{branch}/{quote(notebook)}"
+    root = f"https://{owner.lower()}.github.io/"
+    found["this page online"] = root + ("" if name.lower() == f"{owner}.github.io".lower() else f"{name}/") + page
+    return found
+
+
+def bibtex(citation: dict[str, Any], bibliography: str) -> str:
+    """The paper's entry as it stands in the bibliography, and one for the companion from CITATION.cff."""
+    authors = " and ".join(f"{{{author['name']}}}" for author in citation["authors"])
+    companion = {
+        "title": f"{{{citation['title']}}}",
+        "author": authors,
+        "version": citation["version"],
+        "note": "Executable companion to arXiv:2010.05891",
+    }
+    lines = [f"  {key:<7} = {{{value}}}," for key, value in companion.items()]
+    return bibliography.strip() + "\n\n@software{rhl,\n" + "\n".join(lines) + "\n}"
+
+
+def foot(source: str, kind: str, elsewhere: dict[str, str], repository: str, entries: str) -> str:
+    """The foot as HTML; `source` is the address of what the page was made from."""
+    links = [f'<a href="{html.escape(source)}" download>{kind}</a>']
+    links += [f'<a href="{html.escape(address)}">{words}</a>' for words, address in elsewhere.items()]
+    colab = (
+        f"<p>On Colab, run <code>%pip install git+{html.escape(repository)}</code> first.</p>"
+        if "Colab" in elsewhere
+        else ""
+    )
+    return (
+        '<aside class="take-away" aria-label="Take this page with you">'
+        f"<p>Take away: {' · '.join(links)}</p>{colab}"
+        f'<details><summary>Cite (BibTeX)</summary><pre tabindex="0">{html.escape(entries)}</pre></details></aside>'
+    )
+
+
+def place_notebook(app: Sphinx, pagename: str) -> str:
+    """Beside the sources, put the executed notebook of a page that is written as text; returns its name."""
+    executed = Path(app.outdir).parent / "jupyter_execute" / f"{pagename}.ipynb"
+    target = Path(app.outdir, "_sources", f"{pagename}.ipynb")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(executed, target)
+    return f"{pagename}.ipynb"
+
+
+def add_foot(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
+    """Give the page its foot, and the theme's download button its notebook."""
+    if doctree is None or "body" not in context or not context.get("sourcename"):
+        return
+    source, notebook = context["sourcename"], ""
+    if source.endswith(".ipynb"):
+        notebook = source
+    elif "kernelspec" in app.env.metadata[pagename]:
+        # The theme offers this one beside the text.
+        source = context["ipynb_source"] = place_notebook(app, pagename)
+    kind = "notebook" if source.endswith(".ipynb") else "source"
+    options = app.config.html_theme_options
+    repository = options.get("repository_url", "").rstrip("/")
+    elsewhere = addresses(repository, options.get("repository_branch", "main"), notebook, f"{pagename}.html")
+    root = Path(app.srcdir)
+    entries = bibtex(
+        yaml.load((root / "CITATION.cff").read_text(encoding="utf-8"), Loader=yaml.BaseLoader),
+        (root / "book/references.bib").read_text(encoding="utf-8"),
+    )
+    address = f"{context['pathto']('_sources', 1)}/{source}"
+    context["body"] += foot(address, kind, elsewhere, repository, entries)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Come before the theme, which has priority 500 and reads what is set here."""
+    app.connect("html-page-context", add_foot, priority=400)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,160 @@
+"""Every page of the built book in a real browser, in both themes and at three widths; each check is seen to fail."""
+
+import subprocess
+import tarfile
+from pathlib import Path
+
+import pytest
+
+from tests import browser as seen
+from tests.conftest import HTML, ROOT, current_book, needed
+
+FAULTY = Path(__file__).resolve().parent / "data/faulty"
+# Without index.html, which only sends the reader on.
+NAMES = sorted(
+    {
+        path.relative_to(HTML).as_posix()
+        for path in HTML.rglob("*.html")
+        if "_static" not in path.relative_to(HTML).parts
+    }
+    - {"index.html"}
+)
+
+
+# The pages that show source code are of one make; one of them stands for all where colours and structure are judged.
+SOURCES = "_modules/"
+SAMPLE = "_modules/rhl/horizon.html"
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """One browser for each process of the tests; without one, skips, and in continuous integration fails."""
+    if seen.chromium() is None:
+        needed("no Chromium; `apt-get install chromium` brings one")
+    with seen.launch() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def site(chromium):
+    """Address of the built book."""
+    current_book()
+    with seen.serve(HTML) as address:
+        yield address
+
+
+@pytest.fixture(scope="session")
+def faulty(chromium):
+    """Address of pages with deliberate faults."""
+    with seen.serve(FAULTY) as address:
+        yield address
+
+
+def test_there_are_pages(site):
+    assert {"search.html", "genindex.html", "book/index.html"} <= set(NAMES)
+
+
+def test_the_root_leads_to_the_first_page(chromium, site):
+    with chromium.new_page() as page:
+        page.goto(site)
+        page.wait_for_url(f"{site}book/index.html")
+
+
+@pytest.mark.parametrize("theme", seen.THEMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if not name.startswith(SOURCES) or name == SAMPLE])
+def test_page(chromium, site, name, theme):
+    assert "\n".join(seen.faults(chromium, site, name, theme, HTML)) == ""
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith(SOURCES) and name != SAMPLE])
+def test_page_of_source_code(chromium, site, name):
+    with seen.visit(chromium, site, name, "light") as (page, found):
+        assert "\n".join(found + seen.content_faults(page) + seen.too_wide(page)) == ""
+
+
+def test_faultless_page(chromium, faulty):
+    for theme in seen.THEMES:
+        assert seen.faults(chromium, faulty, "good.html", theme, FAULTY) == []
+
+
+def test_faults_on_the_way_are_found(chromium, faulty):
+    with seen.visit(chromium, faulty, "bad.html", "light") as (page, found):
+        assert "asks another host: https://book.invalid/script.js" in found
+        assert "the console says: a deliberate error" in found
+        assert "a script fails: a deliberate exception" in found
+        assert f"status 404: {faulty}missing.png" in found
+        assert seen.weight(page, faulty, FAULTY) > (FAULTY / "bad.html").stat().st_size / 10
+    with seen.visit(chromium, faulty, "missing.html", "light") as (_, found):
+        assert f"status 404: {faulty}missing.html" in found
+
+
+def test_a_heavy_page_is_found(chromium, faulty, monkeypatch):
+    monkeypatch.setattr(seen, "BUDGET", 100)
+    assert any("bytes compressed" in fault for fault in seen.faults(chromium, faulty, "good.html", "light", FAULTY))
+
+
+def test_faults_in_a_page_are_found(chromium, faulty):
+    with seen.visit(chromium, faulty, "bad.html", "light") as (page, _):
+        assert seen.content_faults(page) == [
+            "the id twice is given twice",
+            "broken image: missing.png",
+            "alternative text is no sentence: plot",
+            "TeX as text: Undefined control sequence",
+            "TeX as text: $x$",
+            "TeX as text: \\begin{align",
+        ]
+
+
+def test_faults_of_the_layout_are_found(chromium, faulty):
+    with seen.visit(chromium, faulty, "bad.html", "light") as (page, _):
+        light = seen.too_wide(page) + seen.violations(page, "light")
+    assert [fault for fault in light if "too wide" in fault] == ["at 360 px the page is 340 px too wide"]
+    for width in seen.WIDTHS:
+        assert f"at {width} px button-name: button" in light
+        assert f"at {width} px, light: color-contrast: #pale-on-light" in light
+    assert [fault for fault in light if "scrollable-region" in fault] == [
+        "at 360 px scrollable-region-focusable: .scrolls"
+    ]
+    with seen.visit(chromium, faulty, "bad.html", "dark") as (page, _):
+        dark = seen.violations(page, "dark")
+    assert {fault for fault in dark if "contrast" in fault} == {
+        f"at {width} px, dark: color-contrast: #dim-on-dark" for width in seen.WIDTHS
+    }
+
+
+def test_the_packed_site_opens_from_a_local_server(chromium, site, tmp_path):
+    packed = tmp_path / "site.tar.gz"
+    subprocess.run(["make", "--silent", "site", f"SITE={packed}"], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    with tarfile.open(packed) as archive:
+        archive.extractall(tmp_path, filter="data")
+    with seen.serve(tmp_path / "rhl-book") as address:
+        for name in ("book/index.html", "notebooks/10-lemma-5.html"):
+            with seen.visit(chromium, address, name, "dark") as (page, found):
+                assert page.locator("article h1").count() == 1
+            assert found == []
+
+
+def test_search_finds_without_another_host(chromium, site):
+    with seen.visit(chromium, site, "search.html?q=controllability", "light") as (page, found):
+        page.wait_for_selector("#search-results li a")
+        addresses = page.eval_on_selector_all("#search-results li a", "links => links.map(({ href }) => href)")
+    assert found == []
+    assert all(address.startswith(site) for address in addresses)
+    assert any("notebooks/10-lemma-5.html" in address for address in addresses)
+
+
+def test_a_link_shows_the_statement_it_leads_to(chromium, site):
+    with seen.visit(chromium, site, "notebooks/08-theorem-1.html", "light") as (page, found):
+        link = page.locator("article a[href*='06-lemma-2.html']").first
+        link.hover()
+        card = page.locator(".statement-card")
+        card.wait_for()
+        card.locator("mjx-container").first.wait_for()
+        assert card.inner_text().startswith("Lemma 2")
+        page.keyboard.press("Escape")
+        card.wait_for(state="detached")
+        # A link that leads to no result shows nothing.
+        page.locator("article a[href*='_modules/']").first.hover()
+        page.wait_for_timeout(600)
+        assert card.count() == 0
+    assert found == []

@@ -1,0 +1,151 @@
+"""The book's Sphinx extensions: what they make of a page's text, and what they refuse."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from bs4 import BeautifulSoup
+
+from tests.conftest import HTML, ROOT, current_book
+
+sys.path.insert(0, str(ROOT / "book/_ext"))
+
+import lean_pages
+import take_away
+
+NOTEBOOK = "notebooks/10-lemma-5.ipynb"
+PAGE = "notebooks/10-lemma-5.html"
+
+
+# ---------------------------------------------------------------- taking a page away
+
+
+def test_one_setting_gives_every_address():
+    assert take_away.addresses("https://github.com/Some/rhl", "main", NOTEBOOK, PAGE) == {
+        "Binder": "https://mybinder.org/v2/gh/Some/rhl/main?urlpath=lab%2Ftree%2Fnotebooks%2F10-lemma-5.ipynb",
+        "Colab": "https://colab.research.google.com/github/Some/rhl/blob/main/notebooks/10-lemma-5.ipynb",
+        "this page online": "https://some.github.io/rhl/notebooks/10-lemma-5.html",
+    }
+    assert list(take_away.addresses("https://github.com/Some/rhl", "main", "", PAGE)) == ["this page online"]
+    own = take_away.addresses("https://github.com/some/some.github.io", "main", "", PAGE)
+    assert own == {"this page online": f"https://some.github.io/{PAGE}"}
+
+
+def test_without_the_setting_there_is_no_address():
+    assert take_away.addresses("", "main", NOTEBOOK, PAGE) == {}
+
+
+@pytest.mark.parametrize(
+    "address", ["https://example.org/a/b", "https://github.com/a", "https://github.com/a/b/tree/c"]
+)
+def test_an_address_of_another_form_is_refused(address):
+    with pytest.raises(ValueError, match=r"^repository\.url must look like https://github\.com/OWNER/NAME, got"):
+        take_away.addresses(address, "main", NOTEBOOK, PAGE)
+
+
+def test_foot():
+    elsewhere = take_away.addresses("https://github.com/some/rhl", "main", NOTEBOOK, PAGE)
+    foot = BeautifulSoup(
+        take_away.foot("a.ipynb", "notebook", elsewhere, "https://github.com/some/rhl", "@x{<}"), "html.parser"
+    )
+    assert [link.text for link in foot.select("a")] == ["notebook", "Binder", "Colab", "this page online"]
+    assert foot.code.text == "%pip install git+https://github.com/some/rhl"
+    assert foot.pre.text == "@x{<}"
+    bare = take_away.foot("a.ipynb", "notebook", {}, "", "")
+    assert "Colab" not in bare
+    assert bare.count("<a ") == 1
+
+
+def test_bibtex_is_the_bibliography_and_the_companion():
+    citation = yaml.load((ROOT / "CITATION.cff").read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
+    entries = take_away.bibtex(citation, (ROOT / "book/references.bib").read_text(encoding="utf-8"))
+    assert entries.startswith("@article{ebenbauer2020,") or entries.startswith("@misc{ebenbauer2020,")
+    assert entries.count("\n@software{rhl,") == 1
+    assert f"version = {{{citation['version']}}}" in entries
+    assert entries.count("{") == entries.count("}")
+
+
+# ---------------------------------------------------------------- mending pages
+
+AMISS = """<script src="../_static/vendor/fontawesome/6/js/all.min.js?digest=1"></script>
+<link rel="preload" as="font" type="font/woff2" crossorigin href="_static/webfonts/fa-brands-400.woff2" />
+<link rel="preload" as="font" type="font/woff2" crossorigin href="_static/webfonts/fa-solid-900.woff2" />
+<img src="_static/minus.png" class="toggler" id="toggle-1" style="display: none" alt="-" />
+<form class="bd-search" action="search.html"><input id="search-input"></form><input id="search-input">"""
+
+
+def test_pages_are_mended():
+    page, found = lean_pages.mend(AMISS)
+    assert found == lean_pages.MENDINGS.keys()
+    assert "fa-solid-900" in page
+    assert "all.min.js" not in page
+    assert "fa-brands-400" not in page
+    assert page.count('id="search-input"') == 1
+    assert lean_pages.mend(page) == (page, set())
+
+
+# ---------------------------------------------------------------- statements and the ways between them
+
+
+def trail_faults(pages):
+    """Pages about a result whose statement, proof, source code or tests lead nowhere; `pages` by name."""
+    found = []
+    for name, page in pages.items():
+        block = page.select_one(".statement[id^=stated-]")
+        if block is None:
+            continue
+        words = [link.text.partition(" ")[0] for link in block.select(".trail a")]
+        proof = page.select_one("section[id^=the-proof]")
+        wanted = [*(["Proof"] if proof else []), "Checks", "Code", "Tests"]
+        if words != wanted:
+            found.append(f"{name}: the statement leads to {words}, not {wanted}")
+        back = f"{name.rpartition('/')[2]}#{block['id']}"
+        for link in block.select(".trail a"):
+            target = link["href"].rpartition("../")[2].partition("#")[0]
+            if link.text in ("Code", "Tests") and not pages[target].select(f".trail a[href$='{back}']"):
+                found.append(f"{name}: {target} does not lead back")
+        if proof and not proof.select(f":is(h2, h3) + .trail a[href$='#{block['id']}']"):
+            found.append(f"{name}: the proof does not lead back")
+    return found
+
+
+def test_statements_and_what_belongs_to_them():
+    current_book()
+    files = [*HTML.glob("notebooks/*.html"), HTML / "book/checks.html", *HTML.glob("_modules/rhl/claims/*.html")]
+    pages = {
+        path.relative_to(HTML).as_posix(): BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser")
+        for path in files
+    }
+    assert sum(page.select_one(".statement[id^=stated-]") is not None for page in pages.values()) > 8
+    assert trail_faults(pages) == []
+
+
+def test_ways_that_lead_nowhere_are_found():
+    here = """<div class="statement" id="stated-a">
+    <p class="trail"><a href="../book/checks.html#test-a">Tests</a></p></div>
+    <section id="the-proof"><h2>Proof</h2></section>"""
+    pages = {
+        "notebooks/a.html": BeautifulSoup(here, "html.parser"),
+        "book/checks.html": BeautifulSoup("<p></p>", "html.parser"),
+    }
+    assert trail_faults(pages) == [
+        "notebooks/a.html: the statement leads to ['Tests'], not ['Proof', 'Checks', 'Code', 'Tests']",
+        "notebooks/a.html: book/checks.html does not lead back",
+        "notebooks/a.html: the proof does not lead back",
+    ]
+
+
+def test_every_page_can_be_taken_away():
+    current_book()
+    pages = {path: BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser") for path in HTML.glob("*/*.html")}
+    written = [path for path in pages if (Path(ROOT, path.parent.name) / path.stem).with_suffix(".md").exists()]
+    written += [path for path in pages if (Path(ROOT, path.parent.name) / path.stem).with_suffix(".ipynb").exists()]
+    assert len(written) > 20
+    for path in written:
+        foot = pages[path].select_one(".take-away")
+        assert foot is not None
+        assert (path.parent / foot.a["href"]).is_file()
+        assert "@software{rhl" in foot.pre.text
+        executed = bool(pages[path].select(".cell"))
+        assert foot.a["href"].endswith(".ipynb") == executed
