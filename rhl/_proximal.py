@@ -198,12 +198,17 @@ class Proximal:
                 return start + step if np.all(start + step > self.g.lower) else start, distance, ""
             try:
                 theta, message = self._trust(start, step)
-            except np.linalg.LinAlgError as error:
-                # The squares of data of 1e8 and more leave the solver a singular matrix; Newton's step needs none.
+            except InputError:
+                raise
+            except (np.linalg.LinAlgError, ValueError) as error:
+                # The squares of data of 1e8 and more leave the solver a singular matrix, or one with infinite entries,
+                # which scipy refuses; Newton's step needs none.
                 theta, message = start, str(error)
             theta = self._polish(theta)
             return theta, self.distance(theta), message
-        except np.linalg.LinAlgError as error:
+        except InputError:
+            raise
+        except (np.linalg.LinAlgError, ValueError) as error:
             return start, np.inf, str(error)
 
     def _trust(self, start: Array, step: Array) -> tuple[Array, str]:
@@ -213,11 +218,15 @@ class Proximal:
         factor = np.linalg.cholesky(self.free.T @ hold @ self.free)
         directions = solve_triangular(factor, self.free.T, lower=True).T
         reach = float(np.sqrt(step @ hold @ step))
+        # scipy's inner iteration does not end where a number is not finite, or where the radius is none.
+        _within_range(np.asarray([reach, 1e6 * reach, 1 / reach**2 if reach > 0 else np.inf]))
         found = minimize(
             lambda eta: self.value(start + directions @ eta) / reach**2,
             np.zeros(directions.shape[1]),
-            jac=lambda eta: directions.T @ self.gradient(start + directions @ eta) / reach**2,
-            hess=lambda eta: directions.T @ self.hessian(start + directions @ eta) @ directions / reach**2,
+            jac=lambda eta: _within_range(directions.T @ self.gradient(start + directions @ eta) / reach**2),
+            hess=lambda eta: _within_range(
+                directions.T @ self.hessian(start + directions @ eta) @ directions / reach**2
+            ),
             method="trust-exact",
             options={
                 "initial_trust_radius": reach,
@@ -239,6 +248,12 @@ class Proximal:
                 break
             theta, length, step = theta + step, shorter, further
         return theta
+
+
+def _within_range(array: Array) -> Array:
+    if not np.all(np.isfinite(array)):
+        raise np.linalg.LinAlgError("the problem leaves the range of floating-point numbers")
+    return array
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,7 +162,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _path(text: str) -> Path:
     if not text:
-        raise argparse.ArgumentTypeError("a file's name must not be empty")
+        raise argparse.ArgumentTypeError("a file's name must have a character at least, got none")
     return Path(text)
 
 

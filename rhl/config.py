@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
@@ -171,7 +171,7 @@ def load(path: str | os.PathLike[str]) -> Config:
     try:
         with Path(path).open("rb") as file:
             content = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
     if len(content) > _LARGEST:
         raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
@@ -198,7 +198,8 @@ def parse(data: dict[str, Any]) -> Config:
     InputError
         With one sentence about the first key that does not fit.
     """
-    if not isinstance(data, dict):
+    given: Any = data
+    if not isinstance(given, dict) or not all(isinstance(key, str) for key in given):
         raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
     try:
         return Config.model_validate(data)
@@ -275,6 +276,8 @@ def template(name: str) -> str:
     str
         TOML.
     """
+    if not isinstance(cast(object, name), str):
+        raise InputError(f"name must be a text, got {describe(name)}")
     kinds = " or ".join(str(kind.model_fields["kind"].description) for kind in PLANTS)
     lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
     lines += [

@@ -53,7 +53,9 @@ class PredictorMaps:
         B = real_array("B", self.B, (count - 1, n, None))
         common_batch(A=(A, 3), B=(B, 3))
         if not np.array_equal(A[..., 0, :, :], np.broadcast_to(np.eye(n), (*A.shape[:-3], n, n))):
-            raise InputError("A[0] must be the identity, for a prediction over no step is the state itself")
+            raise InputError(
+                "A[0] must be the identity (a prediction over no step is the state itself), got another matrix"
+            )
         object.__setattr__(self, "A", A)
         object.__setattr__(self, "B", B)
 

@@ -18,8 +18,8 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rhl._checks import Array, InputError
-from rhl.published import curve
+from rhl._checks import Array, InputError, choice, instance
+from rhl.published import check_length, curve
 from rhl.trace import Trace, write_whole
 
 ThemeName = Literal["light", "dark"]
@@ -154,7 +154,9 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
     >>> [ax.get_ylabel() for ax in reproduction(linear_example().run(), "linear").axes]
     ['output $y$', 'input $v$', '|difference|']
     """
+    choice("experiment", experiment, ("linear", "robot"))
     ours: dict[str, tuple[str, str, Array]]
+    check_length(trace, *((42, 3) if experiment == "linear" else (62, 3)))
     if experiment == "linear":
         ours = {"y": ("linear_y", "output $y$", trace.y[:, 0]), "v": ("linear_u", "input $v$", trace.v[:, 0])}
     else:
@@ -184,6 +186,9 @@ def run(trace: Trace, title: str = "") -> Figure:
     >>> [ax.get_ylabel() for ax in run(linear_example().run()).axes]
     ['output', 'input', 'terminal weight', 'controllability margin']
     """
+    instance("trace", trace, Trace)
+    if trace.y.ndim != 2:
+        raise InputError(f"the trace must be of one run, got a batch of shape {trace.y.shape[1:-1]}; take one member")
     figure, axes = panels(4)
     for i in range(trace.y.shape[1]):
         held(axes[0], trace.y[:, i], f"$y_{i + 1}$", color=f"C{i}")

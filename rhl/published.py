@@ -225,7 +225,7 @@ def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
     >>> {row.verdict for row in compare_linear(linear_example().run())} == {"within", "unexplained"}
     True
     """
-    _check_length(trace, 42, 3)
+    check_length(trace, 42, 3)
     back = fed_back(printed=printed)
     rows = []
     for signal, found, name, last in (
@@ -259,12 +259,13 @@ def compare_robot(trace: Trace) -> list[Comparison]:
     >>> [row.verdict for row in compare_robot(robot_arm().run())]
     ['within', 'within', 'within']
     """
-    _check_length(trace, 62, 3)
+    check_length(trace, 62, 3)
     gaps = [np.abs(trace.z[:, i] - curve(f"robot_x{i + 1}")) for i in range(3)]
     return [_largest(f"x{i + 1}", gap, np.arange(len(gap)), _FREE_RUN) for i, gap in enumerate(gaps)]
 
 
-def _check_length(trace: Trace, steps: int, n: int) -> None:
+def check_length(trace: Trace, steps: int, n: int) -> None:
+    """Refuse a trace that is no run of so many steps with so many states."""
     instance("trace", trace, Trace)
     if len(trace) != steps or trace.z.shape != (steps, n):
         raise InputError(f"trace must be a run of {steps} steps with {n} states, got {len(trace)} steps")

@@ -152,8 +152,7 @@ class Scheme:
             ("initial_model", SignalModel),
         ):
             instance(name, getattr(self, name), kind)
-        if not callable(getattr(self.mixing, "choose", None)):
-            raise InputError(f"mixing must be a ConstantMixing or a LambdaSearch, got {describe(self.mixing)}")
+        instance("mixing", self.mixing, ConstantMixing, LambdaSearch)
         augmented = self.lifting.augment(self.initial_model)
         self.lifting.output_size(self.initial_model.n)
         if self.estimator.knowledge is not None:
