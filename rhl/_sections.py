@@ -12,7 +12,7 @@ from rhl._checks import Array, InputError, describe, real_array, reason, shown
 from rhl.basis import Basis, Polynomials, Terms
 from rhl.bregman import Convex, Entropy, LogCosh, PseudoHuber, WeightedSquares
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
-from rhl.instruments import GaussianNoise, Instrument, Outliers, Saturation
+from rhl.instruments import GaussianNoise, Instrument, InTurn, Outliers, Saturation
 from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
@@ -48,6 +48,17 @@ class Section(BaseModel):
     """A table of the file."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+
+    def heeded(self, name: str, heeded: bool, where: str) -> None:
+        """Refuse a key that is given and would not be heeded.
+
+        Raises
+        ------
+        InputError
+            With the reason.
+        """
+        if name in self.model_fields_set and not heeded:
+            raise InputError(f"{name} must be left out {where}, got {describe(getattr(self, name))}; it has no effect")
 
 
 class LinearSection(Section):
@@ -199,6 +210,7 @@ class EstimatorSection(Section):
 
     def convex_loss(self) -> Convex:
         """Build the loss."""
+        self.heeded("loss_scale", self.loss != "squares", 'where loss is "squares"')
         if self.loss == "squares":
             return WeightedSquares()
         return LogCosh(self.loss_scale) if self.loss == "log-cosh" else PseudoHuber(self.loss_scale)
@@ -209,6 +221,8 @@ class EstimatorSection(Section):
 
     def mixed_by(self) -> Mixing:
         """Build the rule of mixing."""
+        for name in ("mixing_pair", "mixing_rule", "mixing_count", "lambda_max", "least_margin"):
+            self.heeded(name, self.mixing == "search", 'where mixing is not "search"')
         if self.mixing == "search":
             return LambdaSearch(
                 self.mixing_pair, self.mixing_rule, self.lambda_max, self.least_margin, self.mixing_count
@@ -295,6 +309,13 @@ class ControllerSection(Section):
         )
 
     def _epsilon(self) -> Schedule:
+        for name, schedules in (
+            ("eps_rate", ("harmonic", "power")),
+            ("eps_power", ("power",)),
+            ("eps_factor", ("exponential",)),
+            ("eps_value", ("constant",)),
+        ):
+            self.heeded(name, self.eps in schedules, f"where eps is {self.eps!r}")
         if self.eps == "harmonic":
             return HarmonicDecay(self._needed("eps_rate"))
         if self.eps == "power":
@@ -354,10 +375,11 @@ class SimulationSection(Section):
         noisy = (
             GaussianNoise(real_array("noise", self.noise), self.seed) if np.any(np.asarray(self.noise) > 0) else None
         )
+        self.heeded("outlier_size", self.outlier_rate > 0, "where outlier_rate is 0")
         if not self.outlier_rate:
             return noisy
         wrong = Outliers(self.outlier_rate, self.outlier_size, self.seed)
-        return wrong if noisy is None else lambda k, y: wrong(k, noisy(k, y))
+        return wrong if noisy is None else InTurn(noisy, wrong)
 
 
 def _matrix(name: str, rows: Matrix) -> Array:

@@ -93,6 +93,7 @@ class Config(Section):
         with _under("controller"):
             controller = self.controller.controller()
         with _under("estimator"):
+            mixing = self.estimator.mixed_by()
             estimator = ProximalEstimator(
                 self.estimator.window, self.estimator.convex_loss(), self.estimator.convex_generator(), knowledge
             )
@@ -100,7 +101,7 @@ class Config(Section):
             if knowledge is not None:
                 _check_start(knowledge, initial_model)
         with _under("controller", otherwise="estimator"):
-            scheme = Scheme(lifting, estimator, controller, initial_model, self.estimator.mixed_by())
+            scheme = Scheme(lifting, estimator, controller, initial_model, mixing)
         simulation = self.simulation or SimulationSection()
         with _under("simulation"):
             sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
@@ -130,6 +131,10 @@ class Config(Section):
                     if whole == "rough"
                     else SignalModel.shift_of_ones(plant.p, lifting.outputs, plant.q, lifting.inputs)
                 )
+        if self.rough is not None:
+            raise InputError(
+                'A0 must be "rough" where there is a section [rough], got another; set it and B0, or drop the section'
+            )
         eye = B0 == "eye-last-row-of-ones"
         named = SignalModel.companion_of_ones(n, q, "eye-last-row-of-ones" if eye else "last-row-of-ones")
         A = named.A if isinstance(A0, str) else _fit("A0", A0, (n, n), "the order of x(k), square")
@@ -215,19 +220,22 @@ def keys() -> Iterator[tuple[str, str]]:
     for name in ("name", "steps"):
         yield name, Config.model_fields[name].description or ""
     for table, kinds in _SECTIONS.items():
-        described: dict[str, list[tuple[str, str]]] = {}
+        described: dict[str, dict[str, list[str]]] = {}
         for kind in kinds:
             for name, info in kind.model_fields.items():
                 what = info.description or ""
-                if not info.is_required() and info.default is not None:
-                    what += f"; {_toml(info.default)} if left out"
-                described.setdefault(name, []).append(
-                    (what, kind.model_fields["kind"].description or "" if len(kinds) > 1 else "")
-                )
+                if not info.is_required():
+                    what += "; may be left out" if info.default is None else f"; {_toml(info.default)} if left out"
+                tag = kind.model_fields["kind"].description or "" if len(kinds) > 1 else ""
+                described.setdefault(name, {}).setdefault(what, []).append(tag)
         for name, texts in described.items():
-            what = " or ".join(dict.fromkeys(what for what, _ in texts))
-            only = "" if len(texts) == len(kinds) else f"; with kind = {' or '.join(kind for _, kind in texts)}"
-            yield f"{table}.{name}", what + only
+            everywhere = name == "kind" or list(map(len, texts.values())) == [len(kinds)]
+            yield (
+                f"{table}.{name}",
+                "; or ".join(
+                    what if everywhere else f"{what} (with kind = {' or '.join(tags)})" for what, tags in texts.items()
+                ),
+            )
 
 
 def schema() -> dict[str, Any]:
@@ -246,7 +254,7 @@ _EXAMPLE: dict[str, dict[str, str]] = {
     "lifting": {"outputs": "2", "inputs": "2"},
     "estimator": {
         "window": "4",
-        "weight": "1.0",
+        "weight": "0.01",
         "mixing": '"none"',
         "A0": '"companion-of-ones"',
         "B0": '"last-row-of-ones"',
@@ -255,7 +263,7 @@ _EXAMPLE: dict[str, dict[str, str]] = {
         "Q": "1.0",
         "R": "1.0",
         "QN": "1.0",
-        "horizon": "10",
+        "horizon": "30",
         "alpha": "1.0",
         "model_delay": "0",
         "eps_rate": "10.0",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass
 from time import perf_counter
@@ -191,7 +192,7 @@ def _of_lengths(plant: LinearPlant, scheme: Scheme) -> Finding:
     return Finding(
         subject,
         "violated",
-        f"{lengths}, and the observability index is {index}: fewer than that are no signal with a linear model",
+        f"{lengths}, and the observability index is {index}: with fewer no linear model of the signals need exist",
     )
 
 
@@ -276,7 +277,8 @@ def _pace(scheme: Scheme) -> str:
 def _of_instruments(sensor: Instrument | None, actuator: Instrument | None) -> Iterator[Finding]:
     for name, part in (("Sensor", sensor), ("Actuator", actuator)):
         if part is not None:
-            yield Finding(name, "outside", f"{called(part)} stands between scheme and plant; the theory knows none")
+            what = "a function of your own" if inspect.isfunction(part) else called(part)
+            yield Finding(name, "outside", f"{what} stands between scheme and plant; the theory knows none")
 
 
 def _size(rows: Array) -> Array:
@@ -293,7 +295,8 @@ def _of_signals(trace: Trace) -> Iterator[Finding]:
     )
     converged = last <= _GONE * first
     verdict: Verdict = "met" if converged else "suspect"
-    reason = "" if converged else "; not gone: run on, or read what is suspect below"
+    hint = "it grew: try a longer horizon, or begin from a rough model" if last > first else "not gone yet: run on"
+    reason = "" if converged else f"; {hint}, and read what is suspect below"
     yield Finding("Theorem 3, state and input go to zero", verdict, ends + reason)
     at = int(np.argmax(z))
     yield Finding(
@@ -318,7 +321,7 @@ def _of_models(trace: Trace) -> Iterator[Finding]:
         yield Finding(
             "Assumption 7, a linear model of the run's signals exists",
             "met" if misfit <= _FITS else "suspect",
-            f"the best one misses {misfit:.2g} of them"
+            f"the best one leaves a share of {misfit:.2g} of them unexplained"
             + ("" if misfit <= _FITS else "; stack more, append basis functions, or look for noise"),
         )
     sizes = np.array([np.max(np.abs(done.plan.x[0])) for done in trace.steps])
@@ -328,7 +331,7 @@ def _of_models(trace: Trace) -> Iterator[Finding]:
     yield Finding(
         "Assumption 5(b), bounded gains of V1",
         "met" if gains[at] <= _GAIN else "suspect",
-        f"the largest plan is {gains[at]:.3g} times its state, at k = {at}",
+        f"inputs and states planned at k = {at} are up to {gains[at]:.3g} times the state there",
     )
     moved = np.linalg.norm(np.diff(trace.theta, axis=0), axis=-1)
     if len(moved):

@@ -127,6 +127,29 @@ class Outliers:
         return y + np.where(hit, sign * self.size, 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class InTurn:
+    """Two instruments, the second fed by the first.
+
+    Parameters
+    ----------
+    first, second : callable
+        (k, signal) -> signal.
+    """
+
+    first: Instrument
+    second: Instrument
+
+    @property
+    def name(self) -> str:
+        """Both names."""
+        return " and ".join(str(getattr(part, "name", type(part).__name__)) for part in (self.first, self.second))
+
+    def __call__(self, k: int, signal: Array) -> Array:
+        """Return what comes out of the second, shape (..., size)."""
+        return through("second instrument", self.second, k, through("first instrument", self.first, k, signal))
+
+
 def through(name: str, instrument: Instrument | None, k: int, signal: Array) -> Array:
     """Pass a signal through an instrument, the user's own too, and check what comes out.
 

@@ -27,3 +27,24 @@ def current_book() -> Path:
     if fresh.read_record(ROOT) != now:
         needed("no built book that is newer than its sources; `make book` makes one")
     return HTML
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """One browser for each process of the tests; without one, skips, and in continuous integration fails."""
+    from tests import browser as seen  # here, because most tests do without
+
+    if seen.chromium() is None:
+        needed("no Chromium; `apt-get install chromium` brings one")
+    with seen.launch() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def site(chromium):
+    """Address of the built book."""
+    from tests import browser as seen
+
+    current_book()
+    with seen.serve(HTML) as address:
+        yield address

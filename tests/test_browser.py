@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests import browser as seen
-from tests.conftest import HTML, ROOT, current_book, needed
+from tests.conftest import HTML, ROOT
 
 FAULTY = Path(__file__).resolve().parent / "data/faulty"
 # Without index.html, which only sends the reader on.
@@ -24,23 +24,6 @@ NAMES = sorted(
 # The pages that show source code are of one make; one of them stands for all where colours and structure are judged.
 SOURCES = "_modules/"
 SAMPLE = "_modules/rhl/horizon.html"
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    """One browser for each process of the tests; without one, skips, and in continuous integration fails."""
-    if seen.chromium() is None:
-        needed("no Chromium; `apt-get install chromium` brings one")
-    with seen.launch() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="session")
-def site(chromium):
-    """Address of the built book."""
-    current_book()
-    with seen.serve(HTML) as address:
-        yield address
 
 
 @pytest.fixture(scope="session")

@@ -2,14 +2,16 @@
 
 import tomllib
 
+import jsonschema
 import numpy as np
 import pytest
 
 from rhl._checks import InputError
-from rhl.config import Config, keys, load, parse
+from rhl.config import Config, keys, load, parse, schema, template
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.plants import LinearPlant, RobotArm
 from rhl.published import linear_example, robot_arm
+from rhl.scheme import default_scheme
 
 LINEAR = """\
 name = "linear"
@@ -156,6 +158,31 @@ REFUSED = [
 ]
 
 
+REFUSED += [
+    (
+        "window = 8",
+        "window = 8\nloss_scale = 0.1",
+        'estimator.loss_scale must be left out where loss is "sq.*got 0.1',
+    ),
+    (
+        "window = 8",
+        "window = 8\nlambda_max = 0.5",
+        "estimator.lambda_max must be left out where mixing is",
+    ),
+    ("eps_rate = 100.0", "eps_rate = 1.0\neps_power = 2.0", "controller.eps_power must be left out where eps is 'harm"),
+    (
+        "[controller]",
+        "[simulation]\noutlier_size = 2.0\n[controller]",
+        "simulation.outlier_size must be left out",
+    ),
+    (
+        "[controller]",
+        "[rough]\nF = [[1]]\nG = [[1]]\nH = [[1]]\n[controller]",
+        'estimator.A0 must be "rough" where there is a section',
+    ),
+]
+
+
 @pytest.mark.parametrize(("old", "new", "sentence"), REFUSED, ids=[sentence[:60] for *_, sentence in REFUSED])
 def test_refused(old, new, sentence, tmp_path):
     assert old in LINEAR
@@ -231,3 +258,27 @@ def test_every_key_is_documented():
         for section, entries in tomllib.loads(text).items():
             named = {f"{section}.{key}" for key in entries} if isinstance(entries, dict) else {section}
             assert named <= documented.keys()
+
+
+def test_what_has_an_effect_is_heeded():
+    robust = LINEAR.replace("window = 8", 'window = 8\nloss = "log-cosh"\nloss_scale = 0.1')
+    assert read(robust).experiment().scheme.estimator.loss.scale == 0.1
+    searched = LINEAR.replace("mixing = 0.0", 'mixing = "search"\nlambda_max = 0.5')
+    assert read(searched).experiment().scheme.mixing.lambda_max == 0.5
+
+
+def test_a_template_has_the_settings_of_the_default_scheme():
+    file, default = read(template("mine")).experiment().scheme, default_scheme(1, 1, 2)
+    assert file.estimator.window == default.estimator.window
+    assert file.estimator.generator.weight == default.estimator.generator.weight
+    assert file.controller.horizon == default.controller.horizon
+    assert file.controller.epsilon == default.controller.epsilon
+    assert np.array_equal(file.initial_model.theta, default.initial_model.theta)
+
+
+def test_the_schema_takes_what_the_parser_takes():
+    validator = jsonschema.Draft202012Validator(schema())
+    for text in (LINEAR, ARM, template("mine")):
+        assert list(validator.iter_errors(tomllib.loads(text))) == []
+    assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("steps = 42", "steps = 0"))))
+    assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("horizon = 20", "horizont = 20"))))

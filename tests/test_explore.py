@@ -2,16 +2,12 @@
 
 import gzip
 import json
-import os
 import re
-import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache, partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from functools import cache
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -129,55 +125,10 @@ def test_spiral_and_mixtures():
 # ---------------------------------------------------------------- the page
 
 
-def missing(reason):
-    """Skip; in continuous integration fail."""
-    pytest.fail(reason) if os.environ.get("CI") == "true" else pytest.skip(reason)
-
-
-@pytest.fixture(scope="module")
-def address():
-    """Where the built book is served, by a server that lives as long as this module's tests."""
-    now = {"outputs": fresh.digest(ROOT, fresh.OUTPUTS_NEED), "pages": fresh.digest(ROOT, fresh.PAGES_NEED)}
-    if fresh.read_record(ROOT) != now:
-        missing("no built book that is newer than its sources; `make book` makes one")
-
-    class Quiet(SimpleHTTPRequestHandler):
-        def log_message(self, *args):
-            pass
-
-    server = ThreadingHTTPServer(("localhost", 0), partial(Quiet, directory=str(HTML)))
-    thread = Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    yield f"http://localhost:{server.server_port}"
-    server.shutdown()
-    server.server_close()
-    thread.join()
-
-
-FLAGS = (
-    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync"
-)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Chromium, of the machine."""
-    executable = shutil.which("chromium")
-    if executable is None:
-        missing("no chromium on this machine's PATH")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        launched = playwright.chromium.launch(executable_path=executable, args=FLAGS.split())
-        yield launched
-        launched.close()
-
-
 @contextmanager
-def opened(browser, url, ready="[data-explore=mixtures] svg", doctor=None, **context):
+def opened(chromium, url, ready="[data-explore=mixtures] svg", doctor=None, **context):
     """A page of a new context, closed at the end; `doctor` is given the page before it loads."""
-    made = browser.new_context(**context)
+    made = chromium.new_context(**context)
     page = made.new_page()
     page.set_default_timeout(20_000)
     if doctor:
@@ -192,8 +143,8 @@ def opened(browser, url, ready="[data-explore=mixtures] svg", doctor=None, **con
 
 
 @pytest.fixture(scope="module")
-def page(browser, address):
-    with opened(browser, f"{address}/{PAGE}") as page:
+def page(chromium, site):
+    with opened(chromium, f"{site}{PAGE}") as page:
         page.locator("[data-explore] details").evaluate_all("all => all.forEach(one => { one.open = true })")
         yield page
 
@@ -343,8 +294,8 @@ def wrong_place(runs):
 
 
 @pytest.mark.parametrize("change", [one_number, wrong_place])
-def test_tampered_data_are_noticed(browser, address, change):
-    with opened(browser, f"{address}/{PAGE}", doctor=tampered("linear-1-0", change)) as page:
+def test_tampered_data_are_noticed(chromium, site, change):
+    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-1-0", change)) as page:
         host = page.locator("[data-explore=linear]")
         host.locator("details").evaluate("one => { one.open = true }")
         moved(page, host, 3, "Home", "N̄ = 1")
@@ -356,8 +307,8 @@ def cut(runs):
     runs[0]["diverged"] = 9
 
 
-def test_a_run_that_diverges_is_shown_as_such(browser, address):
-    with opened(browser, f"{address}/{PAGE}", doctor=tampered("linear-1-0", cut)) as page:
+def test_a_run_that_diverges_is_shown_as_such(chromium, site):
+    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-1-0", cut)) as page:
         host = page.locator("[data-explore=linear]")
         host.locator("details").evaluate("one => { one.open = true }")
         moved(page, host, 3, "Home", "N̄ = 1")
@@ -367,9 +318,9 @@ def test_a_run_that_diverges_is_shown_as_such(browser, address):
         assert "NaN" not in host.inner_html()
 
 
-def test_data_that_do_not_come_are_told(browser, address):
+def test_data_that_do_not_come_are_told(chromium, site):
     with opened(
-        browser, f"{address}/{PAGE}", doctor=lambda page: page.route("**/linear-1-0.js", lambda r: r.abort())
+        chromium, f"{site}{PAGE}", doctor=lambda page: page.route("**/linear-1-0.js", lambda r: r.abort())
     ) as page:
         host = page.locator("[data-explore=linear]")
         host.locator("input[type=range]").nth(3).focus()
@@ -425,13 +376,13 @@ def weights(responses):
     return {got.url: len(gzip.compress(got.body())) for got in responses if got.status == 200}
 
 
-def test_the_page_is_light_and_asks_nobody_else(browser, address):
+def test_the_page_is_light_and_asks_nobody_else(chromium, site):
     asked = []
     with opened(
-        browser, f"{address}/{PAGE}", doctor=lambda page: page.on("response", lambda response: asked.append(response))
+        chromium, f"{site}{PAGE}", doctor=lambda page: page.on("response", lambda response: asked.append(response))
     ):
         sizes = weights(asked)
-    assert all(url.startswith(address) for url in sizes)
+    assert all(url.startswith(site) for url in sizes)
     data = {url: size for url, size in sizes.items() if "/explore/data/" in url}
     assert len(data) == 4
     assert sum(sizes.values()) - sum(data.values()) < 1.5e6
@@ -439,8 +390,8 @@ def test_the_page_is_light_and_asks_nobody_else(browser, address):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_without_scripts_a_picture_stands_there(browser, address, scheme):
-    with opened(browser, f"{address}/{PAGE}", ready=None, java_script_enabled=False, color_scheme=scheme) as page:
+def test_without_scripts_a_picture_stands_there(chromium, site, scheme):
+    with opened(chromium, f"{site}{PAGE}", ready=None, java_script_enabled=False, color_scheme=scheme) as page:
         assert page.locator("[data-explore]:visible").count() == 0
         assert page.locator("noscript p").is_visible()
         pictures = page.locator(".rhl-figure img:visible")
@@ -453,8 +404,8 @@ def test_with_scripts_the_pictures_make_room(page):
     assert page.locator(".rhl-figure img:visible").count() == 0
 
 
-def test_the_page_works_from_a_folder(browser, address):
-    with opened(browser, (HTML / PAGE).as_uri()) as page:
+def test_the_page_works_from_a_folder(chromium, site):
+    with opened(chromium, (HTML / PAGE).as_uri()) as page:
         host = page.locator("[data-explore=robot]")
         host.locator("details").evaluate("one => { one.open = true }")
         moved(page, host, 0, "Home", "N = 1")
@@ -469,9 +420,9 @@ def test_colours_are_those_of_the_figures(page):
         assert colour == f"rgb({', '.join(str(int(first[i : i + 2], 16)) for i in (1, 3, 5))})"
 
 
-def test_on_a_phone(browser, address):
+def test_on_a_phone(chromium, site):
     phone = {"viewport": {"width": 360, "height": 700}, "has_touch": True, "is_mobile": True}
-    with opened(browser, f"{address}/{PAGE}", **phone) as page:
+    with opened(chromium, f"{site}{PAGE}", **phone) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
         targets = page.locator("[data-explore] :is(input, button, summary)").evaluate_all(
             "all => all.map(one => one.getBoundingClientRect().height)"
@@ -488,11 +439,11 @@ def test_on_a_phone(browser, address):
         assert mistakes(host, "linear", {"window": 1}) == []
 
 
-def test_landing_page(browser, address):
+def test_landing_page(chromium, site):
     asked = []
     with opened(
-        browser,
-        f"{address}/book/index.html",
+        chromium,
+        f"{site}book/index.html",
         ready=None,
         doctor=lambda p: p.on("response", lambda response: asked.append(response)),
     ) as page:
@@ -501,6 +452,6 @@ def test_landing_page(browser, address):
         assert page.evaluate(running) > 0
         assert sum(weights(asked).values()) < 1.5e6
         assert [door.inner_text() for door in page.locator(".sd-card-title").all()] == ["Read", "Run", "Verify"]
-    with opened(browser, f"{address}/book/index.html", ready=None, reduced_motion="reduce") as page:
+    with opened(chromium, f"{site}book/index.html", ready=None, reduced_motion="reduce") as page:
         assert page.evaluate(running) == 0
         assert page.locator(".rhl-opening .ours").is_visible()
