@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhl._checks import Array, InputError, NotFiniteError, instance, integer, read_only, real_array, reason, square
+from rhl._realisation import observable_basis
 from rhl.model import SignalModel
-from rhl.plants import LinearPlant, Plant, check_plant, observable_basis
+from rhl.plants import LinearPlant, Plant, check_plant
 
 # The step of central differences: truncation goes with its square, rounding with its inverse, and at the cube root of
 # the machine precision both are near 4e-11 of the plant's size where its third derivatives are of that size too.
@@ -260,7 +261,7 @@ def observable_part(plant: LinearPlant) -> LinearPlant:
     Returns
     -------
     LinearPlant
-        In coordinates z_o = V'z with V orthonormal (see :func:`rhl.plants.observable_basis`): from V'z(0) it gives the
+        In coordinates z_o = V'z with V orthonormal from an orthogonal staircase: from V'z(0) it gives the
         outputs that the plant gives from z(0).
 
     Raises

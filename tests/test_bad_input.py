@@ -10,6 +10,7 @@ import pytest
 from rhl import closed_loop as cl
 from rhl import plotting
 from rhl._checks import AssumptionWarning, InputError, NotFiniteError
+from rhl._realisation import observable_basis
 from rhl.basis import Features, Polynomials, Terms
 from rhl.bregman import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.config import load, parse, template
@@ -21,7 +22,7 @@ from rhl.instruments import GaussianNoise, Outliers, Saturation, through
 from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
 from rhl.model import PredictorMaps, SignalModel
-from rhl.plants import FunctionPlant, LinearPlant, PlantError, RobotArm, observable_basis
+from rhl.plants import FunctionPlant, LinearPlant, PlantError, RobotArm
 from rhl.published import compare_linear, compare_robot, curve, robot_arm
 from rhl.ready import CartPendulum, flexible_shaft, quadruple_tank, ready
 from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at

@@ -11,6 +11,7 @@ FOLDER = Path(rhl.__file__).parent
 ORDER = [
     "_checks",
     "model",
+    "_realisation",
     "plants",
     "ready",
     "structure",

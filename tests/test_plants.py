@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rhl._checks import InputError
-from rhl.plants import FunctionPlant, LinearPlant, PlantError, RobotArm, observable_basis
+from rhl._realisation import observable_basis
+from rhl.plants import FunctionPlant, LinearPlant, PlantError, RobotArm
 
 SEED = 2010_05891
 # A handful of products of order one.
