@@ -34,6 +34,15 @@ def test_a_page_without_an_article_is_refused():
         printing.article("book/a", "<p>", set())
 
 
+def test_the_head_is_of_a_page_with_formulas():
+    plain = PAGE.format(name="a")
+    formulas = plain.replace("</head>", '<script src="../_static/mathjax/tex.js"></script></head>')
+    assert printing.head_of({"a": plain, "b": formulas}).script["src"].endswith("tex.js")
+    assert printing.head_of({"a": plain, "b": plain}).script is None
+    with pytest.raises(ValueError, match=r"^b\.html must have a head, found none$"):
+        printing.head_of({"a": plain, "b": "<p>"})
+
+
 def test_contents():
     toc = {"root": "book/a", "parts": [{"caption": "Part", "chapters": [{"file": "book/b"}]}]}
     articles = {name: printing.article(name, PAGE.format(name=name), set()) for name in ("book/a", "book/b")}

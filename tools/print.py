@@ -12,7 +12,7 @@ import io
 import posixpath
 import shutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -116,6 +116,15 @@ def title_page(config: dict) -> str:
     )
 
 
+def head_of(texts: Mapping[str, str]) -> Tag:
+    """The head for the whole document: that of the first page that loads MathJax, as pages without formulas do not."""
+    heads = {name: BeautifulSoup(text, "html.parser").head for name, text in texts.items()}
+    if missing := [name for name, head in heads.items() if head is None]:
+        raise ValueError(f"{missing[0]}.html must have a head, found none")
+    found = [head for head in heads.values() if head is not None]
+    return next((head for head in found if head.select("script[src*=mathjax]")), found[0])
+
+
 def document(head: str, body: Iterable[str]) -> str:
     """One page of HTML; `head` is that of a built page, with its styles and its MathJax."""
     return (
@@ -154,7 +163,7 @@ def sheets_of(page: Page, folder: Path, text: str) -> bytes:
     page.goto(HOST + "book/print.html", timeout=120_000)
     if refused:
         raise ValueError(f"the printed book must need its own files only, it asks for {', '.join(refused)}")
-    page.evaluate("() => window.MathJax?.startup.promise.then(() => 1)")
+    page.evaluate("() => window.MathJax?.startup?.promise.then(() => 1)")
     page.evaluate(FIT, COLUMN)
     return page.pdf(
         prefer_css_page_size=True,
@@ -190,9 +199,7 @@ def main(target: Path, root: Path) -> None:
     articles = {name: article(name, text, set(names)) for name, text in texts.items()}
     entries = contents(toc, articles)
     config = yaml.safe_load((root / "_config.yml").read_text(encoding="utf-8"))
-    head = BeautifulSoup(texts[toc["root"]], "html.parser").head
-    if head is None:
-        raise ValueError(f"{toc['root']}.html must have a head, found none")
+    head = head_of(texts)
     for script in head.select("script[src]"):
         if "mathjax" not in str(script["src"]):
             script.decompose()
