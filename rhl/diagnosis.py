@@ -246,20 +246,19 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
 
 def _of_convexity(loss: Convex | Varying, generator: Convex) -> Iterator[Finding]:
     parts = [("generator", generator)] + ([] if isinstance(loss, Varying) else [("loss", loss)])
-    words = {True: "met", False: "violated", None: "suspect"}
     for role, part in parts:
-        known = part.assumption_6
-        verdict: Verdict = "met" if known else "violated" if known is False else "suspect"
-        yield Finding(f"Assumption 6, {role}", verdict, f"{called(part)}: {_known(known)}")
+        verdict, words = _known(part.assumption_6)
+        yield Finding(f"Assumption 6, {role}", verdict, f"{called(part)}: {words}")
     if isinstance(loss, Varying):
         yield Finding("Assumption 6, loss", "note", "varies with k; each must be strictly convex and least at zero")
-    convex = generator.convex_in_second
-    verdict = "met" if words[convex] == "met" else "violated" if convex is False else "suspect"
-    yield Finding("Lemma 4, D convex in its second argument", verdict, f"that of {called(generator)}: {_known(convex)}")
+    verdict, words = _known(generator.convex_in_second)
+    yield Finding("Lemma 4, D convex in its second argument", verdict, f"that of {called(generator)}: {words}")
 
 
-def _known(holds: bool | None) -> str:
-    return "not known" if holds is None else "holds" if holds else "does not hold"
+def _known(holds: bool | None) -> tuple[Verdict, str]:
+    if holds is None:
+        return "suspect", "not known"
+    return ("met", "holds") if holds else ("violated", "does not hold")
 
 
 def _pace(scheme: Scheme) -> str:

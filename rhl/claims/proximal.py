@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.optimize import brentq
 
+from rhl import bregman
 from rhl._checks import Array
 from rhl.bregman import Generator, WeightedSquares, divergence
 
@@ -31,20 +32,13 @@ class Squares(WeightedSquares):
         return np.asarray(dual / (2 * np.asarray(self.weight)))
 
 
-class Entropy:
-    """The sum of x log x on positive x; D is the Kullback-Leibler distance, convex in both arguments."""
-
-    def value(self, x: Array) -> Array:
-        """Return the sum of x log x, shape (...)."""
-        return np.asarray(np.sum(x * np.log(x), axis=-1))
-
-    def gradient(self, x: Array) -> Array:
-        """Return 1 + log x, shape (..., d)."""
-        return 1 + np.log(x)
+@dataclass(frozen=True, eq=False)
+class Entropy(bregman.Entropy):
+    """The weighted sum of x log x on positive x, with the inverse of its gradient."""
 
     def inverse(self, dual: Array) -> Array:
-        """Return exp(dual - 1), shape (..., d)."""
-        return np.exp(dual - 1)
+        """Return exp(dual / w - 1), shape (..., d)."""
+        return np.asarray(np.exp(dual / self.weight - 1))
 
 
 class Cosh:
