@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rhl.bregman import Entropy, LogCosh, Own, WeightedSquares
+from rhl.constraints import Knowledge
 from rhl.estimator import ProximalEstimator
-from rhl.knowledge import Knowledge
+from rhl.losses import Entropy, LogCosh, Own, WeightedSquares
 from rhl.model import SignalModel
 
 SEED = 2010_05891

@@ -6,8 +6,8 @@ import pytest
 from rhl.controllability import LambdaSearch
 from rhl.horizon import V1, V2, V3, solve
 from rhl.model import SignalModel
-from rhl.published import linear_example, robot_arm
-from rhl.trace import simulate
+from rhl.paper.published import linear_example, robot_arm
+from rhl.simulation import simulate
 
 SEED = 2010_05891
 BATCH = 200

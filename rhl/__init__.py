@@ -1,6 +1,63 @@
 """Receding horizon learning: the executable companion of Ebenbauer, Pfitz and Yu, arXiv 2010.05891."""
 
-from rhl._checks import AssumptionWarning, InputError
+from rhl.closed_loop import Memory, Step, advance, closed_loop, replay, start, step
+from rhl.constraints import Knowledge
+from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.disturbances import GaussianNoise, Saturation
+from rhl.errors import (
+    AssumptionWarning,
+    DivergedError,
+    InfeasibleError,
+    InputError,
+    LostControllabilityError,
+    NotSolvedError,
+    RHLError,
+)
+from rhl.estimator import ProximalEstimator
+from rhl.horizon import V1, V2, V3, Plan, solve
+from rhl.lifting import DelayLifting
+from rhl.model import PredictorMaps, SignalModel
+from rhl.plants import FunctionPlant, LinearPlant
+from rhl.schedules import PowerDecay
+from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.simulation import Trace, simulate
 
-__all__ = ["AssumptionWarning", "InputError"]
+__all__ = [
+    "V1",
+    "V2",
+    "V3",
+    "AssumptionWarning",
+    "ConstantMixing",
+    "Controller",
+    "DelayLifting",
+    "DivergedError",
+    "FunctionPlant",
+    "GaussianNoise",
+    "InfeasibleError",
+    "InputError",
+    "Knowledge",
+    "LambdaSearch",
+    "LinearPlant",
+    "LostControllabilityError",
+    "Memory",
+    "NotSolvedError",
+    "Plan",
+    "PowerDecay",
+    "PredictorMaps",
+    "ProximalEstimator",
+    "RHLError",
+    "Saturation",
+    "Scheme",
+    "SignalModel",
+    "Step",
+    "Trace",
+    "advance",
+    "closed_loop",
+    "default_scheme",
+    "replay",
+    "simulate",
+    "solve",
+    "start",
+    "step",
+]
 __version__ = "0.1.0"

@@ -13,22 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rhl.errors import InputError, NotFiniteError
+
 Array = NDArray[np.float64]
 
 # A matrix read from text keeps 15 digits or more; an asymmetry above this is meant, not rounding.
 _SYMMETRY_RTOL = 1e-12
-
-
-class InputError(ValueError):
-    """A value passed by the caller does not fit; the message says what was expected and found."""
-
-
-class NotFiniteError(InputError):
-    """A value is NaN or infinite."""
-
-
-class AssumptionWarning(UserWarning):
-    """What was chosen is allowed, but an assumption of the paper, which the message names, is not known to hold."""
 
 
 def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None = None) -> Array:

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
 
-from rhl._checks import Array, InputError
-from rhl.bregman import Convex, WeightedSquares, called
+from rhl._checks import Array
+from rhl.errors import InputError, NotSolvedError
+from rhl.losses import Convex, WeightedSquares, called
 
 # The relative distance to the minimiser that an answer may have. The solver reaches 1e-12 on most problems; residuals
 # of a diverging run, 1e8 and more, leave it with what their squares leave of sixteen digits.
@@ -25,10 +26,6 @@ _MOST_HALVINGS = 100
 _FLAT = 1e-6
 # A step this short, relative to the model, is below rounding, and what the solver is given would underflow.
 _NO_STEP = 1e-16
-
-
-class NotSolvedError(ArithmeticError):
-    """The estimator's problem was not solved to the accuracy that its certificate asks for."""
 
 
 def regression(x: Array, u: Array) -> tuple[Array, Array]:

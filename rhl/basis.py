@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, describe, integer, numbers, reason
+from rhl._checks import Array, describe, integer, numbers, reason
+from rhl.errors import InputError
 
 # More features than this make a model that no window can inform and no solver handle.
 _MOST = 2000
@@ -48,7 +49,7 @@ class Polynomials:
 
     Notes
     -----
-    Source: Remark 3, Carleman's embedding. ``rhl.claims`` checks that the paper's example of it is exact.
+    Source: Remark 3, Carleman's embedding. ``rhl.paper.claims`` checks that the paper's example of it is exact.
 
     Examples
     --------

@@ -8,33 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, NotFiniteError, describe, instance, real_array
+from rhl._checks import Array, describe, instance, real_array
+from rhl.disturbances import Instrument, through
+from rhl.errors import DivergedError, InputError, NotFiniteError
 from rhl.horizon import V1, Plan, solve
-from rhl.instruments import Instrument, through
 from rhl.lifting import remember
 from rhl.model import SignalModel
-from rhl.plants import Plant, check_plant
+from rhl.plants.base import Plant, check_plant
 from rhl.scheme import Scheme
-
-
-class DivergedError(ArithmeticError):
-    """The closed loop left the range of float64.
-
-    Attributes
-    ----------
-    k : int
-        The step at which it did.
-    what : str
-        Which number.
-    steps : tuple of Step
-        The steps before, where ``simulate`` collected them.
-    """
-
-    def __init__(self, k: int, what: str, steps: tuple[Step, ...] = ()) -> None:
-        super().__init__(f"the run left the range of floating-point numbers at k = {k}: {what}")
-        self.k = k
-        self.what = what
-        self.steps = steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +138,7 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
     ------
     DivergedError
         If a number leaves the range of float64.
-    LostControllability
+    LostControllabilityError
         If the lambda-search finds no candidate.
     NotSolvedError
         If the estimator's problem is not quadratic and its answer misses the certificate.
@@ -256,7 +237,7 @@ def closed_loop(
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
     sensor : callable, optional
-        (k, y) -> the output as it is measured, see ``rhl.instruments``.
+        (k, y) -> the output as it is measured, see ``rhl.disturbances``.
     actuator : callable, optional
         (k, v) -> the input as it is applied.
     applied_known : bool

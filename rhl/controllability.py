@@ -9,13 +9,10 @@ from typing import Literal, Protocol, get_args
 import numpy as np
 
 from rhl._checks import Array, choice, fraction, instance, integer, positive
+from rhl.errors import LostControllabilityError
 from rhl.model import SignalModel
 
 Augment = Callable[[SignalModel], SignalModel]
-
-
-class LostControllability(ArithmeticError):
-    """No candidate lambda keeps the mixed pair controllable by the asked margin."""
 
 
 def controllability_matrix(model: SignalModel) -> Array:
@@ -198,7 +195,7 @@ class LambdaSearch:
 
         Raises
         ------
-        LostControllability
+        LostControllabilityError
             If no candidate reaches the margin.
         """
         view: Augment = augment if self.pair == "augmented" else lambda model: model
@@ -210,7 +207,7 @@ class LambdaSearch:
         margins = margin(view(stacked[0].mix(stacked[1], lam)))
         enough = margins >= self.least_margin
         if not np.all(np.any(enough, axis=-1)):
-            raise LostControllability(
+            raise LostControllabilityError(
                 f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
                 f"{self.least_margin:g} (largest found {np.min(np.max(np.nan_to_num(margins), axis=-1)):.3g}); "
                 "widen lambda_max, lower least_margin, mix by a constant, "

@@ -8,10 +8,11 @@ from typing import cast
 
 import numpy as np
 
-from rhl._checks import Array, AssumptionWarning, InputError, describe, instance, integer, real_array
-from rhl._proximal import NotSolvedError, Proximal, quadratic, regression
-from rhl.bregman import Convex, Varying, WeightedSquares, called, convex
-from rhl.knowledge import Knowledge
+from rhl._checks import Array, describe, instance, integer, real_array
+from rhl._proximal import Proximal, quadratic, regression
+from rhl.constraints import Knowledge
+from rhl.errors import AssumptionWarning, InputError, NotSolvedError
+from rhl.losses import Convex, Varying, WeightedSquares, called, convex
 from rhl.model import SignalModel
 
 __all__ = ["NotSolvedError", "ProximalEstimator"]

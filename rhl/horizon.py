@@ -7,18 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import (
-    Array,
-    InputError,
-    NotFiniteError,
-    common_batch,
-    instance,
-    integer,
-    read_only,
-    real_array,
-    weight_matrix,
-)
+from rhl._checks import Array, common_batch, instance, integer, read_only, real_array, weight_matrix
 from rhl._riccati import cost_step, least_steering
+from rhl.errors import InfeasibleError, InputError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
 
 Predictor = SignalModel | PredictorMaps
@@ -28,10 +19,6 @@ _FEASIBLE_RTOL = 1e-9
 
 # Terminal rows whose singular value is below this share of the largest are rounding.
 _HELD_RTOL = 1e-13
-
-
-class InfeasibleError(ValueError):
-    """No input sequence steers the predictor from x to the terminal state r."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, InputError, describe, instance, integer, real_array
+from rhl._checks import Array, describe, instance, integer, real_array
 from rhl.basis import Basis
+from rhl.errors import InputError
 from rhl.model import SignalModel
 
 

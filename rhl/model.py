@@ -8,7 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, InputError, choice, common_batch, instance, integer, real_array, square
+from rhl._checks import Array, choice, common_batch, instance, integer, real_array, square
+from rhl.errors import InputError
 
 InputMatrix = Literal["last-row-of-ones", "eye-last-row-of-ones"]
 

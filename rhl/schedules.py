@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from rhl._checks import InputError, describe, fraction, integer, numbers, positive, reason
+from rhl._checks import describe, fraction, integer, numbers, positive, reason
+from rhl.errors import InputError
 
 Schedule = Callable[[int], float]
 

@@ -8,22 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
-from rhl._checks import (
-    Array,
-    AssumptionWarning,
-    InputError,
-    describe,
-    instance,
-    integer,
-    positive,
-    real_array,
-    weight_matrix,
-)
-from rhl.bregman import WeightedSquares, called
+from rhl._checks import Array, describe, instance, integer, positive, real_array, weight_matrix
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
+from rhl.errors import AssumptionWarning, InputError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1
 from rhl.lifting import DelayLifting
+from rhl.losses import WeightedSquares, called
 from rhl.model import SignalModel
 from rhl.schedules import HarmonicDecay, Schedule, epsilon_at
 

@@ -3,7 +3,7 @@
 import os
 import re
 
-from rhl._checks import InputError
+from rhl.errors import InputError
 
 # Longer than any key's description with what was found; a message is to be read in one breath.
 _LONGEST = 600

@@ -7,28 +7,29 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rhl import closed_loop as cl
 from rhl import plotting
-from rhl._checks import AssumptionWarning, InputError, NotFiniteError
-from rhl._realisation import observable_basis
+from rhl.app.config import load, parse, template
+from rhl.app.diagnosis import Finding, diagnose, diagnose_run
 from rhl.basis import Features, Polynomials, Terms
-from rhl.bregman import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
-from rhl.config import load, parse, template
+from rhl.closed_loop import advance, replay, start, step
+from rhl.constraints import Knowledge
 from rhl.controllability import ConstantMixing, LambdaSearch, candidates, margin
-from rhl.diagnosis import Finding, diagnose, diagnose_run
+from rhl.disturbances import GaussianNoise, Outliers, Saturation, through
+from rhl.errors import AssumptionWarning, DivergedError, InputError, NotFiniteError, PlantError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1, V2, V3, condensed_hessian, solve
-from rhl.instruments import GaussianNoise, Outliers, Saturation, through
-from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
+from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
-from rhl.plants import FunctionPlant, LinearPlant, PlantError, RobotArm
-from rhl.published import compare_linear, compare_robot, curve, robot_arm
-from rhl.ready import CartPendulum, flexible_shaft, quadruple_tank, ready
+from rhl.paper import figures
+from rhl.paper.published import compare_linear, compare_robot, curve, robot_arm
+from rhl.plants import FunctionPlant, LinearPlant, RobotArm
+from rhl.plants._realisation import observable_basis
+from rhl.plants.analysis import detectability, linearise, observable_part, rough_model, stabilizability
+from rhl.plants.examples import CartPendulum, flexible_shaft, quadruple_tank, ready
 from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at
 from rhl.scheme import Controller, Scheme, default_scheme
-from rhl.structure import detectability, linearise, observable_part, rough_model, stabilizability
-from rhl.trace import Trace, simulate
+from rhl.simulation import Trace, simulate
 from tests.bad_input import faults, listing, refusal
 
 ONE = SignalModel([[1.0]], [[1.0]])
@@ -456,9 +457,9 @@ API = [
     ),
     ("sensor a number", lambda: run(sensor=3), r"^the sensor must take \(k, signal\) .*got TypeError", None),
     # closed loop, trace
-    ("no scheme", lambda: cl.start(None), r"^scheme must be a Scheme, got None", None),
-    ("no memory", lambda: cl.step(SCHEME, None, [1.0]), r"^memory must be a Memory, got None", None),
-    ("y of another size", lambda: cl.step(SCHEME, STEP.memory, [1.0, 2.0]), r"^y must have shape \(1,\), got", None),
+    ("no scheme", lambda: start(None), r"^scheme must be a Scheme, got None", None),
+    ("no memory", lambda: step(SCHEME, None, [1.0]), r"^memory must be a Memory, got None", None),
+    ("y of another size", lambda: step(SCHEME, STEP.memory, [1.0, 2.0]), r"^y must have shape \(1,\), got", None),
     ("no plant", lambda: run(plant=3), r"^plant must be a plant .*got 3 without n", None),
     ("z0 of another size", lambda: run(z0=[1.0, 2.0]), r"^z0 must have shape \(1,\), got \(2,\)", None),
     (
@@ -471,13 +472,13 @@ API = [
     ("steps 0", lambda: run(steps=0), r"^steps must be a whole number of at least 1, got 0", None),
     (
         "records of other lengths",
-        lambda: list(cl.replay(SCHEME, [[1.0]], [[1.0], [1.0]])),
+        lambda: list(replay(SCHEME, [[1.0]], [[1.0], [1.0]])),
         r"^y and v must.*1 and 2",
         None,
     ),
     (
         "v with more axes",
-        lambda: cl.advance(SCHEME, STEP, [[1.0]]),
+        lambda: advance(SCHEME, STEP, [[1.0]]),
         r"^v must have the batch axes .*got \(1, 1\)",
         None,
     ),
@@ -496,13 +497,13 @@ API = [
     ("verdict", lambda: Finding("a", "good", "b"), r"^verdict must be one of met, .*got 'good'", None),
     (
         "reproduction of another run",
-        lambda: plotting.reproduction(TRACE, "linear"),
+        lambda: figures.reproduction(TRACE, "linear"),
         r"^trace must be a run of 42 .*got 3",
         None,
     ),
     (
         "reproduction of what",
-        lambda: plotting.reproduction(TRACE, "arm"),
+        lambda: figures.reproduction(TRACE, "arm"),
         r"^experiment must be one of lin.*got 'arm'",
         None,
     ),
@@ -600,7 +601,7 @@ def test_numbers_at_the_ends_of_the_range_are_numbers():
         plan = solve(V1(ONE, value, value, value, 1.0, 2), [1.0])
         assert np.all(np.isfinite(plan.u))
     assert run(z0=[5e-324]).columns()["y1"][0] == 5e-324
-    with pytest.raises(cl.DivergedError, match="k = 0: weight must be finite"):
+    with pytest.raises(DivergedError, match="k = 0: weight must be finite"):
         run(z0=[1e300])
 
 

@@ -8,8 +8,8 @@ import sympy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhl._checks import InputError
 from rhl.basis import Features, Polynomials, Terms
+from rhl.errors import InputError
 
 SEED = 2010_05891
 # A product of at most a dozen factors.

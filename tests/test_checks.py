@@ -9,17 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from rhl._checks import (
-    InputError,
-    NotFiniteError,
-    fraction,
-    integer,
-    numbers,
-    positive,
-    real_array,
-    square,
-    weight_matrix,
-)
+from rhl._checks import fraction, integer, numbers, positive, real_array, square, weight_matrix
+from rhl.errors import InputError, NotFiniteError
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 

@@ -6,18 +6,18 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from rhl._checks import InputError
-from rhl.closed_loop import DivergedError, Step, advance, closed_loop, replay, start, step
+from rhl.closed_loop import Step, advance, closed_loop, replay, start, step
 from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.disturbances import GaussianNoise, Outliers, Saturation
+from rhl.errors import DivergedError, InputError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import solve
-from rhl.instruments import GaussianNoise, Outliers, Saturation
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, RobotArm
 from rhl.schedules import HarmonicDecay
 from rhl.scheme import Controller, Scheme
-from rhl.trace import simulate
+from rhl.simulation import simulate
 
 SEED = 2010_05891
 STEPS = 12

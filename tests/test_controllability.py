@@ -9,18 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from rhl._checks import InputError
-from rhl.claims.lemma_5 import crossing_pairs
-from rhl.controllability import (
-    ConstantMixing,
-    LambdaSearch,
-    LostControllability,
-    candidates,
-    controllability_matrix,
-    margin,
-)
+from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_matrix, margin
+from rhl.errors import InputError, LostControllabilityError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
+from rhl.paper.claims.lemma_5 import crossing_pairs
 
 SEED = 2010_05891
 # Entries of the controllability matrices here are whole numbers below 1e3, exact in float64; the singular values
@@ -160,7 +153,7 @@ def test_one_candidate_fewer_can_all_be_bad(rule, monkeypatch):
     search = LambdaSearch("lifted", rule, count="sharp")
     assert search.choose(estimate, previous, identity) > 0
     monkeypatch.setattr("rhl.controllability.candidates", lambda n, lambda_max, count: fewer)
-    with pytest.raises(LostControllability, match=r"no lambda in \(0, 0\.9\)"):
+    with pytest.raises(LostControllabilityError, match=r"no lambda in \(0, 0\.9\)"):
         search.choose(estimate, previous, identity)
 
 
@@ -215,7 +208,7 @@ def test_roots_on_the_first_candidates(count):
     assert first == weights[count]
     best = LambdaSearch("lifted", "best", least_margin=least).choose(estimate, previous, identity)
     assert best == weights[np.argmax(margins)] != first
-    with pytest.raises(LostControllability):
+    with pytest.raises(LostControllabilityError):
         LambdaSearch("lifted", least_margin=2 * np.max(margins)).choose(estimate, previous, identity)
 
 
@@ -224,20 +217,20 @@ def test_roots_on_the_first_candidates(count):
 def test_search_that_finds_nothing_says_so(pair, rule):
     zero = SignalModel([[0.0]], [[0.0, 0.0]])
     with pytest.raises(
-        LostControllability, match=rf"no lambda in \(0, 0\.9\) keeps the {pair} pair's margin above 1e-09"
+        LostControllabilityError, match=rf"no lambda in \(0, 0\.9\) keeps the {pair} pair's margin above 1e-09"
     ):
         LambdaSearch(pair, rule).choose(zero, zero, LIFTING.augment)
 
 
 def test_message_tells_the_largest_margin_found():
     lost, weak = SignalModel([[0.0]], [[0.0]]), SignalModel([[0.0]], [[1e-3]])
-    with pytest.raises(LostControllability, match=r"above 0\.5 \(largest found 0\.000675\); widen lambda_max, lower"):
+    with pytest.raises(LostControllabilityError, match=r"above 0\.5 \(largest found 0\.000675\); widen lambda_max"):
         LambdaSearch("lifted", least_margin=0.5).choose(lost, weak, identity)
 
 
 def test_one_lost_member_of_a_batch_is_enough_to_fail():
     batch = SignalModel(np.zeros((2, 1, 1)), np.array([[[1.0]], [[0.0]]]))
-    with pytest.raises(LostControllability):
+    with pytest.raises(LostControllabilityError):
         LambdaSearch("lifted").choose(batch, batch, identity)
 
 

@@ -8,9 +8,9 @@ import scipy.optimize
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhl._checks import InputError
-from rhl.bregman import WeightedSquares, divergence
+from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
+from rhl.losses import WeightedSquares, divergence
 from rhl.model import SignalModel
 
 SEED = 2010_05891

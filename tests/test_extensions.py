@@ -112,7 +112,7 @@ def trail_faults(pages):
 
 def test_statements_and_what_belongs_to_them():
     current_book()
-    files = [*HTML.glob("notebooks/*.html"), HTML / "book/checks.html", *HTML.glob("_modules/rhl/claims/*.html")]
+    files = [*HTML.glob("notebooks/*.html"), HTML / "book/checks.html", *HTML.glob("_modules/rhl/paper/claims/*.html")]
     pages = {
         path.relative_to(HTML).as_posix(): BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser")
         for path in files

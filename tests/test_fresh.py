@@ -8,7 +8,7 @@ from tools import fresh
 
 FILES = {
     "rhl/model.py": "A = 1\n",
-    "rhl/data/y.csv": "0,1\n",
+    "rhl/paper/data/y.csv": "0,1\n",
     "rhl/__pycache__/model.pyc": "compiled",
     "environment.lock": "numpy==2\n",
     "_config.yml": "title: book\n",
@@ -55,7 +55,7 @@ def test_nothing_changed(root):
     assert kept(root) == EVERYTHING
 
 
-@pytest.mark.parametrize("name", ["rhl/model.py", "rhl/data/y.csv", "environment.lock", "_config.yml"])
+@pytest.mark.parametrize("name", ["rhl/model.py", "rhl/paper/data/y.csv", "environment.lock", "_config.yml"])
 def test_changed_byte_below_the_outputs(root, name):
     text = (root / name).read_text()
     (root / name).write_text(text.replace(text[0], "~", 1))
@@ -85,7 +85,7 @@ def test_caches_that_tools_leave_decide_nothing(root, name):
 
 
 def test_deleted_file(root):
-    (root / "rhl/data/y.csv").unlink()
+    (root / "rhl/paper/data/y.csv").unlink()
     assert kept(root) == NOTHING
 
 

@@ -19,26 +19,26 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from rhl import cli
-from rhl import closed_loop as cl
-from rhl._checks import AssumptionWarning, InputError
+from rhl.app import cli
+from rhl.app.config import keys, parse, template
+from rhl.app.diagnosis import Finding, diagnose
 from rhl.basis import Features, Polynomials, Terms
-from rhl.bregman import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
-from rhl.config import keys, parse, template
-from rhl.controllability import ConstantMixing, LambdaSearch, LostControllability
-from rhl.diagnosis import Finding, diagnose
-from rhl.estimator import NotSolvedError, ProximalEstimator
+from rhl.constraints import Knowledge
+from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.disturbances import GaussianNoise, Outliers, Saturation
+from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
+from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1, solve
-from rhl.instruments import GaussianNoise, Outliers, Saturation
-from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
+from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
+from rhl.paper.published import compare_robot, curve, linear_example
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
-from rhl.published import compare_robot, curve, linear_example
-from rhl.ready import CartPendulum, flexible_shaft, ready
+from rhl.plants.analysis import linearise, rough_model, stabilizability
+from rhl.plants.examples import CartPendulum, flexible_shaft, ready
 from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at
-from rhl.structure import linearise, rough_model, stabilizability
-from rhl.trace import Trace
+from rhl.simulation import Trace
+from tests.app.test_config import ARM, LINEAR
 from tests.bad_input import faults, listing
 from tests.test_bad_input import (
     ESTIMATOR,
@@ -55,7 +55,6 @@ from tests.test_bad_input import (
     run,
     scheme,
 )
-from tests.test_config import ARM, LINEAR
 
 # Fuzzing: whatever object stands where a number, an array or a part belongs, it is taken or refused in one sentence.
 
@@ -202,7 +201,7 @@ def taken_or_refused(name, value):
             assert finite(CALLS[name](value)), f"NaN came out of {name}"
         except InputError as error:
             refused = str(error)
-        except cl.DivergedError as error:
+        except DivergedError as error:
             diverged = str(error)
     assert refused is None or faults(refused, "") == []
     assert diverged is None or re.search(r"at k = \d+: ", diverged)
@@ -336,7 +335,7 @@ def test_any_configuration_is_refused_or_runs_without_nan(data):
             assert all(np.all(np.isfinite(column)) for column in columns.values())
         except InputError as error:
             refused = str(error)
-        except (cl.DivergedError, LostControllability, NotSolvedError):
+        except (DivergedError, LostControllabilityError, NotSolvedError):
             pass
     assert refused is None or faults(refused, "") == []
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import rhl.horizon
-from rhl._checks import InputError
 from rhl._riccati import cost_step
-from rhl.horizon import V1, V2, V3, InfeasibleError, solve
+from rhl.errors import InfeasibleError, InputError
+from rhl.horizon import V1, V2, V3, solve
 from rhl.model import PredictorMaps, SignalModel
-from rhl.published import fed_back, linear_example
+from rhl.paper.published import fed_back, linear_example
 from tests import oracle
 
 SEED = 2010_05891

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhl._checks import InputError
 from rhl.basis import Features, Polynomials, Terms
+from rhl.errors import InputError
 from rhl.lifting import DelayLifting, remember
 from rhl.model import SignalModel
 

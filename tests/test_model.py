@@ -5,7 +5,7 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 
-from rhl._checks import InputError
+from rhl.errors import InputError
 from rhl.model import PredictorMaps, SignalModel
 
 SEED = 2010_05891

@@ -102,7 +102,10 @@ def test_faults_are_found():
         "draw: no caption"
     ]
     assert figure_faults("plotting.show(draw)") == ["draw: no alt", "draw: no caption"]
-    prose = "# `LambdaSearch`\n`SignalModel`, `rhl.trace.simulate()`, {py:class}`~rhl.plants.LinearPlant`, `k`, `solve`"
-    assert bare_names(prose) == ["SignalModel", "rhl.trace.simulate"]
+    prose = (
+        "# `LambdaSearch`\n"
+        "`SignalModel`, `rhl.simulation.simulate()`, {py:class}`~rhl.plants.LinearPlant`, `k`, `solve`"
+    )
+    assert bare_names(prose) == ["SignalModel", "rhl.simulation.simulate"]
     page = '<article><code class="xref py">a</code><a><code class="xref py">b</code></a><code>c</code></article>'
     assert dead_names(BeautifulSoup(page, "html.parser")) == ["a"]

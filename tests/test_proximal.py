@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from rhl import _proximal
-from rhl._checks import AssumptionWarning, InputError
-from rhl._proximal import NotSolvedError, Proximal, quadratic, regression
-from rhl.bregman import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares
+from rhl._proximal import Proximal, quadratic, regression
+from rhl.constraints import Knowledge
+from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.estimator import ProximalEstimator
-from rhl.knowledge import Knowledge
+from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares
 from rhl.model import SignalModel
 from tests import oracle
 

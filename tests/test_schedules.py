@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhl._checks import AssumptionWarning, InputError
+from rhl.errors import AssumptionWarning, InputError
 from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at
 from rhl.scheme import Controller
 

@@ -6,14 +6,14 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from rhl._checks import InputError
 from rhl.basis import Polynomials, Terms
-from rhl.bregman import Entropy, LogCosh
 from rhl.closed_loop import closed_loop
+from rhl.constraints import Knowledge
 from rhl.controllability import ConstantMixing
+from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
-from rhl.knowledge import Knowledge
 from rhl.lifting import DelayLifting
+from rhl.losses import Entropy, LogCosh
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.schedules import HarmonicDecay

@@ -19,8 +19,8 @@ from sphinx.domains.std import StandardDomain
 from sphinx.environment import BuildEnvironment
 from sphinx.util.docutils import SphinxDirective
 
-from rhl.claims.claim import Claim
-from rhl.claims.ledger import CLAIMS
+from rhl.paper.claims.claim import Claim
+from rhl.paper.claims.ledger import CLAIMS
 
 # Labels that begin so mark the statement of the paper that a page is about.
 STATED = "stated-"

@@ -1,0 +1,1 @@
+"""The command line, its file format, and what it says about a plant and its settings."""

@@ -1,0 +1,404 @@
+"""The command line: parse, call, print."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+from rich.table import Table
+
+from rhl import __version__
+from rhl._checks import reason, shown
+from rhl._files import header, write_whole
+from rhl.app.config import load, schema, template
+from rhl.closed_loop import Step
+from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
+from rhl.paper import published
+from rhl.simulation import Trace
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from matplotlib.figure import Figure
+
+    from rhl.app.diagnosis import Diagnosis
+    from rhl.paper.claims.claim import Judgement
+
+OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
+
+_TOO_LARGE = "the run must fit into memory"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one sentence, as everything here does."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see '{self.prog} --help'")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status.
+
+    Returns
+    -------
+    int
+        0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is
+        missed. 2: bad input. 3: the run stopped before its end; its rows up to there are kept. 130: interrupted;
+        likewise.
+    """
+    try:
+        with warnings.catch_warnings(), _terminable():
+            warnings.simplefilter("default", AssumptionWarning)
+            warnings.showwarning = _say
+            options = _parser().parse_args(arguments)
+            status = int(options.command(options))
+        sys.stdout.flush()
+        return status
+    except InputError as error:
+        print(f"rhl: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except MemoryError as error:
+        print(f"rhl: {_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("rhl: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read the table has gone; Python would complain once more when it closes the stream.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"rhl: standard output must take the table, got: {error.strerror}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def _say(message: Warning | str, *_: Any, **__: Any) -> None:
+    text = " ".join(str(message).split())
+    print(f"rhl: warning: {text if text.isprintable() else ascii(text)}", file=sys.stderr)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let a request to terminate interrupt, as Ctrl-C does, so that rows are kept."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="rhl", allow_abbrev=False, description="Receding horizon learning, the companion of arXiv 2010.05891."
+    )
+    parser.add_argument("--version", action="version", version=f"rhl {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    reproduce = commands.add_parser(
+        "reproduce", allow_abbrev=False, help="compare a simulation of the paper with its published data"
+    )
+    reproduce.add_argument("experiment", choices=("linear", "robot"))
+    reproduce.add_argument("--printed", action="store_true", help="with the settings as the paper's text prints them")
+    reproduce.add_argument("--output", type=_path, metavar="CSV", help="write the run's rows to this file")
+    reproduce.set_defaults(command=_reproduce)
+
+    run = commands.add_parser("run", allow_abbrev=False, help="run the scheme on a plant of your own")
+    run.add_argument("config", type=_path, metavar="CONFIG.toml", help="what to run; the book documents every key")
+    run.add_argument("--output", type=_path, metavar="CSV", required=True, help="write the run's rows to this file")
+    run.set_defaults(command=_run)
+
+    check = commands.add_parser(
+        "check", allow_abbrev=False, help="say which assumptions a plant and its settings meet, in words"
+    )
+    check.add_argument("config", type=_path, metavar="CONFIG.toml", help="what would run")
+    check.add_argument("--run", action="store_true", help="run it too, and say how that went")
+    check.set_defaults(command=_check, output=None, plot=None)
+
+    new = commands.add_parser("new", allow_abbrev=False, help="write a commented configuration that runs as it is")
+    new.add_argument("name", metavar="NAME", help="what the run is called; written is NAME.toml")
+    new.set_defaults(command=_new, plot=None, flag="NAME")
+
+    schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
+    schema.add_argument("--output", type=_path, metavar="FILE", help="write it to this file instead")
+    schema.set_defaults(command=_schema, plot=None)
+
+    verify = commands.add_parser("verify", allow_abbrev=False, help="check every claim of the paper, or some")
+    verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
+    verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
+    verify.add_argument("--json", type=_path, metavar="FILE", dest="output", help="write the judgements to this file")
+    verify.add_argument("--seed", type=int, default=0, help="where random cases come from (default: 0)")
+    amount = verify.add_mutually_exclusive_group()
+    amount.add_argument(
+        "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
+    )
+    amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a first look")
+    verify.set_defaults(command=_verify, plot=None, flag="--json")
+
+    for command in (reproduce, run):
+        command.add_argument(
+            "--plot", type=_path, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
+        )
+    for command in (reproduce, run, new, schema, verify):
+        command.add_argument("--force", action="store_true", help="write over files that exist")
+    return parser
+
+
+def _path(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a file's name must have a character at least, got none")
+    return Path(text)
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    _check_targets(options)
+    linear = options.experiment == "linear"
+    experiment = (published.linear_example if linear else published.robot_arm)(printed=options.printed)
+    trace = experiment.run()
+    rows = published.compare_linear(trace, printed=options.printed) if linear else published.compare_robot(trace)
+    settings = "the settings as printed" if options.printed else "the settings behind the data"
+    table = Table(title=f"{experiment.name}, {settings}", title_justify="left")
+    for heading in ("signal", "samples", "largest |difference|", "at k", "tolerance", "verdict"):
+        table.add_column(heading, justify="left" if heading in ("signal", "verdict") else "right")
+    for row in rows:
+        tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
+        table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
+    _write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
+    _print(table, least_width=110)
+    return MISSED if any(row.verdict == "missed" for row in rows) else OK
+
+
+def _run(options: argparse.Namespace) -> int:
+    experiment = load(options.config).experiment()
+    _check_targets(options)
+    done, status, why = _watched(experiment)
+    if done:
+        trace = Trace(experiment.scheme, done)
+        _write(options, trace, lambda: _figures().run(trace, experiment.name))
+    else:
+        plant = experiment.plant
+        write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
+    if why:
+        print(f"rhl: {why}; the {len(done)} rows before it are in {options.output}", file=sys.stderr)
+    else:
+        end = f"largest |z| {np.max(np.abs(trace.z[-1])):.3g}, largest |v| {np.max(np.abs(trace.v[-1])):.3g}"
+        print(f"{len(done)} rows in {options.output}; at the end {end}")
+    return status
+
+
+def _watched(experiment: published.Experiment) -> tuple[tuple[Step, ...], int, str]:
+    """Run under a progress bar; return the steps taken, the exit status, and why it stopped early if it did."""
+    done: list[Step] = []
+    status, why = OK, ""
+    with _progress(experiment.name, experiment.steps) as advance:
+
+        def tick(step: Step) -> None:
+            done.append(step)
+            advance()
+
+        try:
+            experiment.run(tick)
+        except DivergedError as error:
+            status, why = STOPPED, str(error)
+        except (LostControllabilityError, NotSolvedError) as error:
+            status, why = STOPPED, f"the run stopped at k = {len(done)}: {error}"
+        except MemoryError as error:
+            status, why = STOPPED, f"the run stopped at k = {len(done)}: {_TOO_LARGE}, got {reason(error)}"
+        except KeyboardInterrupt:
+            status, why = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
+    return tuple(done), status, why
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rhl.app.diagnosis import diagnose, diagnose_run  # here, because the other commands do without
+
+    experiment = load(options.config).experiment()
+    found = diagnose(experiment.plant, experiment.scheme, sensor=experiment.sensor, actuator=experiment.actuator)
+    _tell(found, f"{experiment.name}: before a run")
+    if not options.run:
+        return OK if found.sound else MISSED
+    done, status, why = _watched(experiment)
+    sound = found.sound
+    if done:
+        after = diagnose_run(Trace(experiment.scheme, done))
+        _tell(after, f"{experiment.name}: after {len(done)} steps")
+        sound = sound and after.sound
+    if why:
+        print(f"rhl: {why}", file=sys.stderr)
+        return status
+    return OK if sound else MISSED
+
+
+def _tell(diagnosis: Diagnosis, title: str) -> None:
+    table = Table(title=escape(title), title_justify="left", show_lines=False)
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("what", max_width=44)
+    table.add_column("found")
+    for finding in diagnosis.findings:
+        table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
+    _print(table, least_width=140)
+
+
+def _new(options: argparse.Namespace) -> int:
+    name = options.name.removesuffix(".toml")
+    stem = Path(name).name
+    if not stem or not stem.isprintable():
+        raise InputError(f"NAME must be the name of a file to be, got {shown(options.name)!r}")
+    options.output = Path(f"{name}.toml")
+    _check_targets(options)
+    write_whole(options.output, template(stem))
+    print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
+    return OK
+
+
+def _schema(options: argparse.Namespace) -> int:
+    text = json.dumps(schema(), indent=1)
+    if options.output is None:
+        print(text)
+        return OK
+    _check_targets(options)
+    write_whole(options.output, text + "\n")
+    return OK
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from rhl.paper.claims import ledger  # here, because the other commands do without
+    from rhl.paper.claims.claim import Effort
+
+    effort, claims = Effort(options.seed, options.cases), ledger.select(options.ids)
+    _check_targets(options)
+    if options.list:
+        for claim in claims:
+            print(f"{claim.id:28} {claim.statement}")
+        return OK
+    done: list[Judgement] = []
+    with _progress("checking", len(claims)) as advance:
+
+        def tick(judgement: Judgement) -> None:
+            done.append(judgement)
+            advance()
+
+        try:
+            ledger.run(claims, effort, tick)
+        except KeyboardInterrupt:
+            print(f"rhl: interrupted after {len(done)} of {len(claims)} claims", file=sys.stderr)
+    table = Table(title=f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases", title_justify="left")
+    table.add_column("claim", no_wrap=True)
+    table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
+    for heading in ("checked by", "cases", "worst", "tolerance", "verdict", "control"):
+        table.add_column(
+            heading, no_wrap=True, justify="right" if heading in ("cases", "worst", "tolerance") else "left"
+        )
+    for row in done:
+        found = row.evidence
+        numbers = (str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}") if found else ("", "", "")
+        control = {True: "fails, as it must", False: "PASSES", None: ""}[row.tripped]
+        verdict = row.verdict if row.verdict == row.claim.recorded else f"{row.verdict}, NOT {row.claim.recorded}"
+        table.add_row(row.claim.id, row.claim.statement, row.claim.method, *numbers, verdict, control)
+    _print(table, least_width=220)
+    tally = Counter(row.verdict for row in done)
+    print(", ".join(f"{count} {verdict}" for verdict, count in tally.items()), end="")
+    print(f"; {sum(row.seconds for row in done):.0f} s")
+    if options.output:
+        write_whole(options.output, json.dumps(ledger.as_json(done, effort), indent=1) + "\n")
+    if len(done) < len(claims):
+        return INTERRUPTED
+    return OK if all(row.as_recorded for row in done) else MISSED
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a bar on a terminal's standard error, and nothing elsewhere."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda: None
+        return
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def _print(table: Table, least_width: int) -> None:
+    console = Console(highlight=False)
+    # Off a terminal rich assumes 80 columns, which would fold the table.
+    if not console.is_terminal:
+        console.width = max(console.width, least_width)
+    with console.capture() as capture:
+        console.print(table)
+    print(capture.get(), end="")
+
+
+def _figures() -> ModuleType:
+    from rhl import plotting  # here, because loading matplotlib takes longer than the run
+
+    return plotting
+
+
+def _paper_figures() -> ModuleType:
+    from rhl.paper import figures  # here for the same reason
+
+    return figures
+
+
+def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
+    """Write the rows and the figure; if the figure cannot be written, the rows do not stay behind either."""
+    figure = _figures().render(draw, options.plot) if options.plot else b""
+    fresh = options.output and not options.output.exists()
+    if options.output:
+        trace.to_csv(options.output)
+    if options.plot:
+        try:
+            write_whole(options.plot, figure)
+        except InputError:
+            if fresh:
+                options.output.unlink(missing_ok=True)
+            raise
+
+
+def _check_targets(options: argparse.Namespace) -> None:
+    """Refuse files that cannot be written, or are named twice, before any work is done."""
+    taken = {}
+    if getattr(options, "config", None):
+        taken[options.config.resolve()] = "the configuration"
+    for flag, target in ((getattr(options, "flag", "--output"), options.output), ("--plot", options.plot)):
+        if target is None:
+            continue
+        name = shown(target)
+        try:
+            resolved = target.resolve()
+            if not resolved.parent.is_dir():
+                raise InputError(f"{flag} must name a file in a folder that exists, got {name}")
+            if resolved.is_dir():
+                raise InputError(f"{flag} must name a file, got the folder {name}")
+            if not os.access(resolved if resolved.exists() else resolved.parent, os.W_OK):
+                raise InputError(f"{flag} must name a file that can be written, got {name}: Permission denied")
+        except (OSError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"{flag} must name a file that can be written, got {name}: {why}") from None
+        if resolved in taken:
+            raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
+        if resolved.is_file() and not options.force:
+            raise InputError(f"{flag} must name a new file, got {name}, which exists; add --force to write over it")
+        if resolved.is_file() or not resolved.exists():
+            taken[resolved] = f"also that of {flag}"
+    if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):
+        raise InputError(f"--plot must end in .svg, .pdf or .png, got {shown(options.plot)}")

@@ -1,0 +1,179 @@
+"""What is known of the signal model beforehand: linear equalities that every estimate must satisfy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import lstsq, null_space
+
+from rhl._checks import Array, describe, instance, integer, numbers, real_array
+from rhl.errors import InputError
+from rhl.model import SignalModel
+
+# Equalities of which this share of their own size is left over contradict each other, or the model at hand; what is
+# written with 12 digits or more passes.
+_MET_RTOL = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    r"""Linear equalities :math:`M \theta = b` of the signal model, :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`.
+
+    Parameters
+    ----------
+    M : array_like, shape (rows, n (n + q))
+        One row for each equality, in the order of ``SignalModel.theta``.
+    b : array_like, shape (rows,)
+        Right-hand sides.
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit each other, or the equalities contradict each other.
+
+    Notes
+    -----
+    Source: the last remark of Section V, that a priori knowledge enters as constraints of the estimator. Mixing keeps
+    the equalities, since it stays on the line between two models that satisfy them.
+
+    Examples
+    --------
+    The upper row of A is known, the rest is not:
+
+    >>> known = Knowledge.entries([[0.0, 1.0], [np.nan, np.nan]], [[np.nan], [np.nan]])
+    >>> known.M.shape
+    (2, 6)
+    """
+
+    M: Array
+    b: Array
+
+    def __post_init__(self) -> None:
+        M = real_array("M", self.M)
+        b = real_array("b", self.b)
+        if M.ndim != 2 or M.shape[1] == 0 or b.shape != M.shape[:1]:
+            raise InputError(
+                f"M and b must have shapes (rows, n (n + q)) and (rows,), got {M.shape} and {b.shape}; "
+                "give one row of M and one entry of b for each equality"
+            )
+        object.__setattr__(self, "M", M)
+        object.__setattr__(self, "b", b)
+        if len(b):
+            left = np.abs(M @ lstsq(M, b)[0] - b)
+            size = np.abs(M).max(axis=1) + np.abs(b)
+            worst = int(np.argmax(left / np.where(size > 0, size, 1)))
+            if left[worst] > _MET_RTOL * size[worst] or size[worst] == 0 < left[worst]:
+                raise InputError(
+                    f"the equalities must not contradict each other, got row {worst}, which the others leave off by "
+                    f"{left[worst]:.3g}; take one of them away"
+                )
+
+    @classmethod
+    def entries(cls, A: ArrayLike, B: ArrayLike) -> Knowledge:
+        """Know single entries of A and B; NaN stands for an unknown one.
+
+        Parameters
+        ----------
+        A : array_like, shape (n, n)
+            Known entries, NaN elsewhere.
+        B : array_like, shape (n, q)
+            Known entries, NaN elsewhere.
+
+        Returns
+        -------
+        Knowledge
+
+        Raises
+        ------
+        InputError
+            If shapes do not fit, or an entry is infinite or no number.
+        """
+        try:
+            found = A
+            A = numbers(found)
+            found = B
+            B = numbers(found)
+        except Exception as error:  # ragged, or whatever an object's own conversion raises
+            raise InputError(f"A and B must hold numbers, NaN where unknown, got {describe(found)}") from error
+        if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A) or 0 in B.shape:
+            raise InputError(f"A and B must have shapes (n, n) and (n, q), got {A.shape} and {B.shape}")
+        theta = np.concatenate([A.T.ravel(), B.T.ravel()])
+        known = ~np.isnan(theta)
+        return cls(np.eye(len(theta))[known], theta[known])
+
+    @classmethod
+    def shift(cls, p: int, outputs: int, q: int, inputs: int) -> Knowledge:
+        r"""Know the rows of a delay-lifted model that only move outputs along.
+
+        Of :math:`x(k+1) = [y(k+1); y(k); \dots; y(k-N_y+2)]` all but the first p entries are entries of x(k): these
+        rows of [A B] hold zeros and ones.
+
+        Parameters
+        ----------
+        p, q : int
+            Sizes of y and v.
+        outputs, inputs : int
+            :math:`N_y` and :math:`N_v`.
+
+        Returns
+        -------
+        Knowledge
+            No equality at all where ``outputs`` is 1.
+        """
+        for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
+            integer(name, value, 1)
+        n = p * outputs
+        A, B = np.full((n, n), np.nan), np.full((n, q * inputs), np.nan)
+        A[p:], B[p:] = np.eye(n)[: n - p], 0.0
+        return cls.entries(A, B)
+
+    def __and__(self, other: Knowledge) -> Knowledge:
+        """Return the equalities of both."""
+        instance("what stands right of &", other, Knowledge)
+        if self.M.shape[1] != other.M.shape[1]:
+            raise InputError(
+                f"both must be about models of one size, got {self.M.shape[1]} and {other.M.shape[1]} parameters"
+            )
+        return Knowledge(np.concatenate([self.M, other.M]), np.concatenate([self.b, other.b]))
+
+    @cached_property
+    def free(self) -> Array:
+        """An orthonormal basis of the directions in which theta may move, shape (n (n + q), freedom)."""
+        return null_space(self.M) if len(self.b) else np.eye(self.M.shape[1])
+
+    def check(self, name: str, model: SignalModel) -> None:
+        """Refuse a model that is of another size, or that does not satisfy the equalities.
+
+        Raises
+        ------
+        InputError
+            With the largest violation.
+        """
+        instance(name, model, SignalModel)
+        theta = model.theta
+        if theta.shape[-1] != self.M.shape[1]:
+            raise InputError(
+                f"the knowledge must be about the {theta.shape[-1]} parameters of {name}, got {self.M.shape[1]} columns"
+            )
+        left = np.abs(theta @ self.M.T - self.b)
+        # An entry known to be zero is left at the rounding of the others, so the largest gives the measure.
+        size = np.max(np.abs(theta), axis=-1, keepdims=True) * np.sum(np.abs(self.M), axis=1) + np.abs(self.b)
+        if np.any(left > _MET_RTOL * size):
+            raise InputError(
+                f"{name} must satisfy what is known (M theta = b), got a violation of {left.max():.3g}; "
+                "start from knowledge.nearest(model)"
+            )
+
+    def nearest(self, model: SignalModel) -> SignalModel:
+        """Return the model nearest to this one, in the sum of squares, that satisfies the equalities."""
+        instance("model", model, SignalModel)
+        theta = model.theta
+        if theta.shape[-1] != self.M.shape[1]:
+            raise InputError(f"the model must have {self.M.shape[1]} parameters, got {theta.shape[-1]}")
+        if not len(self.b):
+            return model
+        known = lstsq(self.M, self.b)[0]
+        return SignalModel.from_theta(known + (theta @ self.free) @ self.free.T, model.n, model.q)

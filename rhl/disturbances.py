@@ -1,0 +1,188 @@
+"""What stands between scheme and plant in a simulation: actuators that saturate, sensors that err."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, describe, fraction, integer, positive, real_array, reason
+from rhl.errors import InputError
+
+# k and the signal, shape (..., size) -> the signal as it comes out, of the same shape.
+Instrument = Callable[[int, Array], ArrayLike]
+
+
+@dataclass(frozen=True, eq=False)
+class Saturation:
+    """An actuator that clips the input to a box.
+
+    Parameters
+    ----------
+    low, high : float or array_like, shape (q,)
+        Bounds, in the units of the input; low below high.
+
+    Raises
+    ------
+    InputError
+        If a bound is not finite, or low is not below high.
+
+    Notes
+    -----
+    Outside the theory: nothing in the paper says that the loop converges under saturation. An unstable plant cannot be
+    brought back from everywhere by a bounded input, whatever the controller.
+
+    Examples
+    --------
+    >>> Saturation(-1.0, 1.0)(0, np.array([3.0, -0.5]))
+    array([ 1. , -0.5])
+    """
+
+    low: Array | float
+    high: Array | float
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high"):
+            bound = real_array(name, getattr(self, name))
+            if bound.ndim > 1 or bound.size == 0:
+                raise InputError(f"{name} must be a number or one number for each input, got shape {bound.shape}")
+            object.__setattr__(self, name, bound)
+        try:
+            ordered = bool(np.all(np.asarray(self.low) < np.asarray(self.high)))
+        except ValueError:
+            ordered = False
+        if not ordered:
+            raise InputError(f"low must be below high for each input, got low {self.low} and high {self.high}")
+
+    def __call__(self, k: int, v: Array) -> Array:
+        """Return the input within the bounds, shape (..., q)."""
+        return np.clip(v, self.low, self.high)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianNoise:
+    """A sensor with independent normal errors, the same in every run with the same seed.
+
+    Parameters
+    ----------
+    std : float or array_like, shape (p,)
+        Standard deviation, in the units of the output; not negative.
+    seed : int
+        Where the errors come from; that of step k depends on (seed, k) only.
+
+    Raises
+    ------
+    InputError
+        If a deviation is negative, or the seed is not a whole number of at least 0.
+    """
+
+    std: Array | float
+    seed: int
+
+    def __post_init__(self) -> None:
+        std = real_array("std", self.std)
+        if std.ndim > 1 or std.size == 0 or np.any(std < 0):
+            raise InputError(f"std must be a number, or one for each output, of at least 0, got {describe(self.std)}")
+        object.__setattr__(self, "std", std)
+        integer("seed", self.seed, 0)
+
+    def __call__(self, k: int, y: Array) -> Array:
+        """Return the output with its error, shape (..., p)."""
+        return y + self.std * np.random.default_rng([self.seed, k]).standard_normal(np.shape(y))
+
+
+@dataclass(frozen=True, eq=False)
+class Outliers:
+    """A sensor that now and then is wrong by far: at random, an entry of y is off by ``size`` or by -``size``.
+
+    Parameters
+    ----------
+    rate : float
+        Probability of an outlier in an entry at a step, in [0, 1).
+    size : float
+        How far off, in the units of the output.
+    seed : int
+        Where the outliers come from; those of step k depend on (seed, k) only.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of range.
+    """
+
+    rate: float
+    size: float
+    seed: int
+
+    def __post_init__(self) -> None:
+        fraction("rate", self.rate)
+        positive("size", self.size)
+        integer("seed", self.seed, 0)
+
+    def __call__(self, k: int, y: Array) -> Array:
+        """Return the output with its outliers, shape (..., p)."""
+        rng = np.random.default_rng([self.seed, k])
+        hit, sign = rng.random(np.shape(y)) < self.rate, rng.choice([-1.0, 1.0], np.shape(y))
+        return y + np.where(hit, sign * self.size, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class InTurn:
+    """Two instruments, the second fed by the first.
+
+    Parameters
+    ----------
+    first, second : callable
+        (k, signal) -> signal.
+    """
+
+    first: Instrument
+    second: Instrument
+
+    @property
+    def name(self) -> str:
+        """Both names."""
+        return " and ".join(str(getattr(part, "name", type(part).__name__)) for part in (self.first, self.second))
+
+    def __call__(self, k: int, signal: Array) -> Array:
+        """Return what comes out of the second, shape (..., size)."""
+        return through("second instrument", self.second, k, through("first instrument", self.first, k, signal))
+
+
+def through(name: str, instrument: Instrument | None, k: int, signal: Array) -> Array:
+    """Pass a signal through an instrument, the user's own too, and check what comes out.
+
+    Parameters
+    ----------
+    name : str
+        What messages call it: "sensor" or "actuator".
+    instrument : callable or None
+        None passes the signal as it is.
+    k : int
+        The step.
+    signal : array, shape (..., size)
+        y or v.
+
+    Returns
+    -------
+    array, shape (..., size)
+
+    Raises
+    ------
+    InputError
+        If the instrument raises, or returns another shape or numbers that are not finite.
+    """
+    if instrument is None:
+        return signal
+    try:
+        found = instrument(k, signal)
+    except Exception as error:  # whatever a user's function raises
+        raise InputError(
+            f"the {name} must take (k, signal) with a signal of shape {signal.shape}, got {reason(error)}"
+        ) from error
+    array = real_array(f"what the {name} returns at k = {k}", found)
+    if array.shape != signal.shape:
+        raise InputError(f"the {name} must return the shape that it is given, {signal.shape}, got {array.shape}")
+    return array

@@ -1,0 +1,60 @@
+"""Every error and warning of the library; all errors lie below ``RHLError``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rhl.closed_loop import Step
+
+
+class RHLError(Exception):
+    """What the library raises by itself; the message says in one sentence what was expected and found."""
+
+
+class InputError(RHLError, ValueError):
+    """A value passed by the caller does not fit; the message says what was expected and found."""
+
+
+class NotFiniteError(InputError):
+    """A value is NaN or infinite."""
+
+
+class PlantError(InputError):
+    """A function that the caller gave for a plant does not do what a plant must; the message says which and what."""
+
+
+class InfeasibleError(RHLError, ValueError):
+    """No input sequence steers the predictor from x to the terminal state r."""
+
+
+class NotSolvedError(RHLError, ArithmeticError):
+    """The estimator's problem was not solved to the accuracy that its certificate asks for."""
+
+
+class LostControllabilityError(RHLError, ArithmeticError):
+    """No candidate lambda keeps the mixed pair controllable by the asked margin."""
+
+
+class DivergedError(RHLError, ArithmeticError):
+    """The closed loop left the range of float64.
+
+    Attributes
+    ----------
+    k : int
+        The step at which it did.
+    what : str
+        Which number.
+    steps : tuple of Step
+        The steps before, where ``simulate`` collected them.
+    """
+
+    def __init__(self, k: int, what: str, steps: tuple[Step, ...] = ()) -> None:
+        super().__init__(f"the run left the range of floating-point numbers at k = {k}: {what}")
+        self.k = k
+        self.what = what
+        self.steps = steps
+
+
+class AssumptionWarning(UserWarning):
+    """What was chosen is allowed, but an assumption of the paper, which the message names, is not known to hold."""

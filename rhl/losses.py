@@ -1,0 +1,465 @@
+"""Losses c, generators g and the Bregman distance that a generator induces, each with its domain and its facts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import approx_fprime
+
+from rhl._checks import (
+    Array,
+    common_batch,
+    describe,
+    members,
+    numbers,
+    positive,
+    real_array,
+    reason,
+    weight_matrix,
+)
+from rhl.errors import InputError
+
+
+class Generator(Protocol):
+    """A strictly convex, continuously differentiable function: value and gradient (Assumption 6)."""
+
+    def value(self, x: Array) -> Array:
+        """Return g(x), shape (...)."""
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient at x, shape (..., d)."""
+
+
+class Convex(Generator, Protocol):
+    """A loss or a generator as the estimator takes it: value, gradient, curvature, domain, and what is known of it."""
+
+    @property
+    def lower(self) -> float:
+        """Entries must lie above this; -inf where every number is in the domain."""
+
+    @property
+    def assumption_6(self) -> bool | None:
+        """Whether it is continuously differentiable and strictly convex (as a loss: least at zero); None: unknown."""
+
+    @property
+    def convex_in_second(self) -> bool | None:
+        """Whether the Bregman distance that it induces is convex in its second argument (Lemma 4); None: unknown."""
+
+    def hessian(self, x: Array) -> Array:
+        """Return the second derivatives, shape (..., d) where the matrix is diagonal, else (..., d, d)."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedSquares:
+    r"""The weighted square :math:`x^\top W x`, as loss c or as generator g.
+
+    Parameters
+    ----------
+    weight : float or array_like, shape (d,) or (d, d)
+        One number, a positive number for each entry, or a symmetric positive definite matrix W. The order is the
+        paper's: of the residuals :math:`s(k) - R(k)\theta`, newest transition first, as a loss; of
+        :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`, column by column, as a generator
+        (``SignalModel(A, B).theta`` puts weights given entry by entry into that order).
+
+    Raises
+    ------
+    InputError
+        If a weight is not positive and finite, or a matrix not symmetric positive definite.
+
+    Notes
+    -----
+    Source: Remark 2 (:math:`c(e)=\|e\|^2`, :math:`g(\theta)=\|\theta\|^2`) with weights. Its domain is all of R^d,
+    Assumption 6 holds, and the distance it induces is convex in both arguments, as Lemma 4 asks.
+    """
+
+    weight: Array | float = 1.0
+
+    lower = -np.inf
+    assumption_6 = True
+    convex_in_second = True
+
+    def __post_init__(self) -> None:
+        weight = real_array("weight", self.weight)
+        if weight.ndim == 2:
+            weight = weight_matrix("weight", weight, weight.shape[-1])
+        elif weight.ndim > 2 or weight.size == 0 or np.any(weight <= 0):
+            found = f"shape {weight.shape}" if weight.ndim > 2 else weight.min() if weight.size else "no entry"
+            raise InputError(f"weight must be positive, one number or shape (d,) or (d, d), got {found}")
+        object.__setattr__(self, "weight", weight)
+
+    def value(self, x: Array) -> Array:
+        """Return the weighted square, shape (...)."""
+        return np.asarray(np.sum(x * self._times(x), axis=-1))
+
+    def gradient(self, x: Array) -> Array:
+        """Return 2 W x, shape (..., d)."""
+        return 2 * self._times(x)
+
+    def hessian(self, x: Array) -> Array:
+        """Return 2 W, shape (..., d) or (..., d, d)."""
+        matrix = np.ndim(self.weight) == 2
+        return np.broadcast_to(2 * np.asarray(self.weight), (*x.shape, x.shape[-1]) if matrix else x.shape)
+
+    def _times(self, x: Array) -> Array:
+        return x @ self.weight if np.ndim(self.weight) == 2 else np.asarray(self.weight * x)
+
+
+@dataclass(frozen=True, eq=False)
+class LogCosh:
+    r"""The loss :math:`c(e) = \sum_i 2 w_i s^2 \log\cosh(e_i / s)`: small residuals squared, large ones linear.
+
+    Parameters
+    ----------
+    scale : float
+        s, the size above which a residual counts as an outlier; in the units of the residual.
+    weight : float or array_like, shape (d,)
+        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
+
+    Raises
+    ------
+    InputError
+        If the scale or a weight is not positive and finite.
+
+    Notes
+    -----
+    Source: Remark 2 names outliers as a reason for another loss than squares; the function is standard in robust
+    statistics. Its domain is all of R^d and Assumption 6 holds. As a generator its distance is not convex in the
+    second argument.
+    """
+
+    scale: float = 1.0
+    weight: Array | float = 1.0
+
+    lower = -np.inf
+    assumption_6 = True
+    convex_in_second = False
+
+    def __post_init__(self) -> None:
+        positive("scale", self.scale)
+        object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def value(self, x: Array) -> Array:
+        """Return c(x), shape (...)."""
+        t = np.abs(x) / self.scale
+        # Near zero the second form would cancel, far from it the first would overflow; and nearer than 1e-8 log cosh
+        # t is t^2 / 2. As the share of t in it, neither s^2 nor t^2 need be formed, which may leave the range.
+        near = np.clip(t, 1e-8, 1)
+        small = np.where(t < 1e-8, t / 2, np.log1p(2 * np.sinh(near / 2) ** 2) / near)
+        far = np.maximum(t, 1)
+        large = 1 + (np.log1p(np.exp(-2 * far)) - np.log(2)) / far
+        share = np.where(t < 1, small, large)
+        return np.asarray(np.sum(2 * self.weight * np.abs(x) * (self.scale * share), axis=-1))
+
+    def gradient(self, x: Array) -> Array:
+        """Return the entries 2 w s tanh(x / s), shape (..., d)."""
+        return np.asarray(2 * self.weight * self.scale * np.tanh(x / self.scale))
+
+    def hessian(self, x: Array) -> Array:
+        """Return the entries 2 w / cosh(x / s)^2, shape (..., d)."""
+        decay = np.exp(-np.abs(x) / self.scale)
+        return np.asarray(2 * self.weight * (2 * decay / (1 + decay**2)) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class PseudoHuber:
+    r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, Huber's, made smooth.
+
+    Parameters
+    ----------
+    scale : float
+        :math:`\delta`, the size above which a residual counts as an outlier; in the units of the residual.
+    weight : float or array_like, shape (d,)
+        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
+
+    Raises
+    ------
+    InputError
+        If the scale or a weight is not positive and finite.
+
+    Notes
+    -----
+    Source: Charbonnier et al., Deterministic edge-preserving regularization in computed imaging, IEEE Trans. Image
+    Process. 6 (1997). Its domain is all of R^d and Assumption 6 holds. As a generator its distance is not convex in
+    the second argument.
+    """
+
+    scale: float = 1.0
+    weight: Array | float = 1.0
+
+    lower = -np.inf
+    assumption_6 = True
+    convex_in_second = False
+
+    def __post_init__(self) -> None:
+        positive("scale", self.scale)
+        object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def value(self, x: Array) -> Array:
+        """Return c(x), shape (...)."""
+        # |x| / (sqrt(1 + t^2) + 1) times |x|: sqrt(1 + t^2) - 1 without cancellation, and without overflow.
+        root = np.hypot(1, x / self.scale)
+        return np.asarray(np.sum(2 * self.weight * np.abs(x) * (np.abs(x) / (root + 1)), axis=-1))
+
+    def gradient(self, x: Array) -> Array:
+        """Return the entries 2 w x / sqrt(1 + (x/delta)^2), shape (..., d)."""
+        return np.asarray(2 * self.weight * x / np.hypot(1, x / self.scale))
+
+    def hessian(self, x: Array) -> Array:
+        """Return the entries 2 w (1 + (x/delta)^2)^(-3/2), shape (..., d)."""
+        return np.asarray(2 * self.weight * np.hypot(1, x / self.scale) ** -3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Entropy:
+    r"""The generator :math:`g(\theta) = \sum_i w_i\, \theta_i \log\theta_i` on positive parameters.
+
+    Parameters
+    ----------
+    weight : float or array_like, shape (d,)
+        :math:`w_i`, positive, in the order of :math:`\theta`.
+
+    Raises
+    ------
+    InputError
+        If a weight is not positive and finite.
+
+    Notes
+    -----
+    Its distance is Kullback's and Leibler's, which is convex in both arguments together, so that Lemma 4 applies;
+    Assumption 6 holds on its domain, the positive numbers. Every entry of A and B then stays positive, the initial
+    model's included: fit for positive systems (flows, stocks, populations) only.
+    """
+
+    weight: Array | float = 1.0
+
+    lower = 0.0
+    assumption_6 = True
+    convex_in_second = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def value(self, x: Array) -> Array:
+        """Return g(x), shape (...); infinite outside the domain."""
+        inside = np.where(x > 0, x, 1.0)
+        terms = np.where(x < 0, np.inf, self.weight * inside * np.log(inside))
+        return np.asarray(np.sum(np.where(x == 0, 0.0, terms), axis=-1))
+
+    def gradient(self, x: Array) -> Array:
+        """Return the entries w (1 + log x), shape (..., d)."""
+        return np.asarray(self.weight * (1 + np.log(x)))
+
+    def hessian(self, x: Array) -> Array:
+        """Return the entries w / x, shape (..., d)."""
+        return np.asarray(self.weight / x)
+
+
+@dataclass(frozen=True, eq=False)
+class Own:
+    """A loss or a generator of the user's own, from its value and its gradient.
+
+    Parameters
+    ----------
+    of : callable
+        x, shape (d,) -> c(x) or g(x), a number. In the order of ``WeightedSquares``.
+    slope : callable
+        x, shape (d,) -> the gradient, shape (d,).
+    curvature : callable, optional
+        x, shape (d,) -> second derivatives, shape (d,) where the matrix is diagonal, else (d, d). Taken by forward
+        differences of the gradient where omitted: slower, and the answer as exact.
+    lower : float
+        The domain is where every entry lies above this.
+    assumption_6, convex_in_second : bool, optional
+        What is known of it, see ``Convex``; omitted: nothing, and the estimator says so.
+    name : str
+        What messages call it.
+
+    Raises
+    ------
+    InputError
+        When one of the functions raises, or returns another shape, or NaN.
+    """
+
+    of: Callable[[Array], float]
+    slope: Callable[[Array], ArrayLike]
+    curvature: Callable[[Array], ArrayLike] | None = None
+    lower: float = -np.inf
+    assumption_6: bool | None = None
+    convex_in_second: bool | None = None
+    name: str = "Own"
+
+    def __post_init__(self) -> None:
+        for role in ("of", "slope", "curvature"):
+            found = getattr(self, role)
+            if not callable(found) and not (role == "curvature" and found is None):
+                raise InputError(f"{role} must be a function of x, got {describe(found)}")
+        lower: object = self.lower
+        if isinstance(lower, bool) or not isinstance(lower, (int, float)) or not lower < np.inf:
+            raise InputError(f"lower must be a number or -inf, got {describe(self.lower)}")
+        for known in ("assumption_6", "convex_in_second"):
+            if not isinstance(getattr(self, known), bool | None):
+                raise InputError(f"{known} must be True, False or None, got {describe(getattr(self, known))}")
+        if not isinstance(self.name, str):
+            raise InputError(f"name must be a text, got {describe(self.name)}")
+
+    def value(self, x: Array) -> Array:
+        """Return the value, shape (...); infinite outside the domain."""
+        return _each(lambda point: self._value(point), x, ())
+
+    def gradient(self, x: Array) -> Array:
+        """Return the gradient, shape (..., d)."""
+        return _each(lambda point: self._call("slope", self.slope, point, [point.shape]), x, x.shape[-1:])
+
+    def hessian(self, x: Array) -> Array:
+        """Return the second derivatives, shape (..., d) or (..., d, d)."""
+        d = x.shape[-1]
+        if self.curvature is not None:
+            known = self.curvature
+            rows = [self._call("curvature", known, point, [(d,), (d, d)]) for point in x.reshape(-1, d)]
+            return np.reshape(rows, (*x.shape[:-1], *rows[0].shape))
+        return _each(self._differences, x, (d, d))
+
+    def _value(self, point: Array) -> Array:
+        # Outside its domain a function of the user's need not have an answer.
+        return self._call("of", self.of, point, [()]) if np.all(point > self.lower) else np.asarray(np.inf)
+
+    def _differences(self, point: Array) -> Array:
+        # Forward, because the domain is bounded from below only.
+        widths = np.sqrt(np.finfo(float).eps) * np.maximum(np.abs(point), 1e-3)
+        slopes = approx_fprime(point, lambda at: self.gradient(at), widths)
+        return np.asarray((slopes + slopes.T) / 2)
+
+    def _call(self, role: str, function: Callable[[Array], Any], point: Array, shapes: list[tuple[int, ...]]) -> Array:
+        try:
+            found = numbers(function(point))
+        except Exception as error:  # whatever a user's function raises
+            raise InputError(
+                f"{self.name}'s function {role!r} must take x of shape {point.shape} and return real numbers, "
+                f"got {reason(error)}; call it with such an array to see where it fails"
+            ) from error
+        if found.shape not in shapes:
+            wanted = " or ".join(str(shape) for shape in shapes)
+            raise InputError(f"{self.name}'s function {role!r} must return shape {wanted}, got {found.shape}")
+        if np.any(np.isnan(found)) or (role != "of" and np.any(np.isinf(found))):
+            raise InputError(
+                f"{self.name}'s function {role!r} must return finite numbers in its domain, got {found.ravel()[:3]} "
+                f"at x with entries from {point.min():.3g} to {point.max():.3g}; set lower where the domain is bounded"
+            )
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Varying:
+    """A loss that changes with k, equation (15)'s c(e, k).
+
+    Parameters
+    ----------
+    at : callable
+        k -> the loss of that step: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``Own``.
+
+    Raises
+    ------
+    InputError
+        If ``at`` is not a function; later, if it raises or returns something else than a loss.
+    """
+
+    at: Callable[[int], Convex]
+
+    def __post_init__(self) -> None:
+        if not callable(self.at):
+            raise InputError(f"at must be a function of k that returns a loss, got {describe(self.at)}")
+
+    def loss(self, k: int) -> Convex:
+        """Return c(., k)."""
+        try:
+            found = self.at(k)
+        except Exception as error:  # whatever a user's function raises
+            raise InputError(f"at must return the loss of step {k}, got {reason(error)}") from error
+        return convex("at(k)", found)
+
+
+def convex(name: str, value: Any) -> Convex:
+    """Check that a value has the members of ``Convex``.
+
+    Raises
+    ------
+    InputError
+        If it lacks one.
+    """
+    kind = "a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or Own for your own functions)"
+    members(name, value, kind, "value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
+    checked: Convex = value
+    return checked
+
+
+def called(function: object) -> str:
+    """Return what messages call a loss or a generator."""
+    return str(getattr(function, "name", type(function).__name__))
+
+
+def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
+    r"""Bregman distance :math:`D(x,y) = g(x) - g(y) - (x-y)^\top \nabla g(y)`.
+
+    Parameters
+    ----------
+    g : Generator
+        Strictly convex generator.
+    x, y : array_like, shape (..., d)
+        Points in its domain.
+
+    Returns
+    -------
+    array, shape (...)
+        Nonnegative, zero only for x = y.
+
+    Raises
+    ------
+    InputError
+        If a point lies outside the domain, so that the distance is no number.
+
+    Notes
+    -----
+    Source: the definition after equation (15).
+
+    Examples
+    --------
+    >>> float(divergence(WeightedSquares(), [3.0, 0.0], [0.0, 4.0]))
+    25.0
+    """
+    members("g", g, "a generator (WeightedSquares, Entropy, ..., or Own)", "value", "gradient")
+    x, y = real_array("x", x, (None,)), real_array("y", y, (None,))
+    d, weights = x.shape[-1], np.shape(getattr(g, "weight", 1.0))
+    if y.shape[-1] != d:
+        raise InputError(f"x and y must have as many entries as each other, got {d} and {y.shape[-1]}")
+    common_batch(x=(x, 1), y=(y, 1))
+    if weights not in ((), (d,), (d, d)):
+        raise InputError(
+            f"the weights of {called(g)} must be one number or have shape ({d},) or ({d}, {d}), as x has {d} entries, "
+            f"got {weights}"
+        )
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        found = g.value(x) - g.value(y) - np.sum((x - y) * g.gradient(y), axis=-1)
+    if not np.all(np.isfinite(found)):
+        raise InputError(
+            f"x and y must lie in the domain of {called(g)}, where the distance is finite, got entries from "
+            f"{min(x.min(), y.min()):.3g} to {max(x.max(), y.max()):.3g}"
+        )
+    return np.asarray(found)
+
+
+def _entrywise(weight: ArrayLike) -> Array:
+    array = real_array("weight", weight)
+    if array.ndim > 1 or array.size == 0 or np.any(array <= 0):
+        found = array.min() if array.size and array.ndim < 2 else f"shape {array.shape}"
+        raise InputError(f"weight must be positive, one number or shape (d,), got {found}")
+    return array
+
+
+def _each(function: Callable[[Array], ArrayLike], x: Array, core: tuple[int, ...]) -> Array:
+    """Call a function that knows vectors only for every member of a batch."""
+    found = [np.asarray(function(point)) for point in x.reshape(-1, x.shape[-1])]
+    return np.reshape(found, (*x.shape[:-1], *core))

@@ -1,0 +1,466 @@
+"""Assumptions 2 and 4 and Remark 1: linear predictor maps that commute and are right along the closed loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from rhl.controllability import margin
+from rhl.horizon import V1, V2, solve
+from rhl.model import PredictorMaps, SignalModel
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.paper.claims.lyapunov_terms import follow
+from rhl.paper.claims.predictors import commutation_gaps, half_blind, powers, predict, prediction_errors, rational
+from rhl.paper.claims.rotating_models import turning
+
+_PAGE = "notebooks/04-assumption-4.ipynb"
+_TEST = "tests/paper/claims/test_assumption_4.py"
+
+# Errors of predictions over a horizon, relative to the initial state, when the predictor is right: rounding.
+_RIGHT = 1e-9
+
+
+def _exact(gaps: list[Any], cases: int) -> Evidence:
+    return Evidence(cases, float(max(gaps)))
+
+
+def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Evidence:
+    """(5) in the library against (5) written out, in integers; and whether P_i depends on its last argument.
+
+    Parameters
+    ----------
+    effort : Effort
+    extra : int
+        The last argument is u_{i-1+extra}: 1 as printed, 0 as is meant.
+    swapped : bool
+        Write it out with B_l in the place of B_{i-1-l}.
+    """
+    rng = effort.rng("eq-5")
+    gaps = []
+    for _ in range(effort.cases):
+        n, q, N = (int(size) for size in rng.integers((1, 1, 2), (4, 4, 6)))
+        A = np.concatenate([np.eye(n)[None], rng.integers(-9, 10, (N, n, n))])
+        B = rng.integers(1, 10, (N, n, q))
+        x, u = rng.integers(-9, 10, n), rng.integers(-9, 10, (N + 1, q))
+        maps = PredictorMaps(A, B.astype(np.float64))
+        there = maps.predict(x, u[:N])
+        for i in range(1, N + 1):
+            written = A[i] @ x + sum(B[l if swapped else i - 1 - l] @ u[l] for l in range(i))
+            gaps.append(float(np.max(np.abs(there[i] - written))))
+            moved = u.copy()
+            moved[i - 1 + extra] += 1
+            gaps.append(float(np.array_equal(maps.predict(x, moved[:N])[i], there[i])))
+    return _exact(gaps, effort.cases)
+
+
+def check_commuting(effort: Effort, printed: bool = False, nudge: int = 0) -> Evidence:
+    """(7) for powers, in rational numbers.
+
+    Parameters
+    ----------
+    effort : Effort
+    printed : bool
+        Ask for P_{N+1} too.
+    nudge : int
+        Change one entry of A_2 by that much, so that the maps are no powers.
+    """
+    rng = effort.rng("eq-7")
+    gaps: list[Fraction | int] = []
+    for _ in range(max(1, effort.cases // 4)):
+        n, q, N = (int(size) for size in rng.integers((1, 1, 2), (4, 3, 5)))
+        maps = powers(rational(rng, n, n), rational(rng, n, q), N)
+        maps[0][2][0, 0] += nudge
+        gaps.extend(commutation_gaps(maps, rational(rng, n), rational(rng, N + 1, q), printed))
+    return _exact(gaps, max(1, effort.cases // 4))
+
+
+def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
+    """Change one map of a family of powers and count the families whose change (7) does not show.
+
+    The models have a last state that nothing moves from zero; what is changed is what the maps say about it.
+
+    Parameters
+    ----------
+    effort : Effort
+    everywhere : bool
+        Look at (7) from all states; otherwise from those whose last entry is zero.
+    """
+    rng = effort.rng("eq-7.powers")
+    unseen = []
+    for _ in range(max(1, effort.cases // 4)):
+        A, B, N = rational(rng, 3, 3), rational(rng, 3, 1), 3
+        A[2, :2] = 0
+        B[2] = 0
+        maps = powers(A, B, N)
+        maps[0][int(rng.integers(2, N + 1))][int(rng.integers(3)), 2] += 1
+        unit = powers(A, B, 1)[0][0]
+        seen = any(
+            max(commutation_gaps(maps, x, s)) > 0
+            for x in (unit if everywhere else unit[:2])
+            for s in (rational(rng, N + 1, 1), 0 * rational(rng, N + 1, 1))
+        )
+        unseen.append(0 if seen else 1)
+    return _exact(unseen, len(unseen))
+
+
+def check_accurate(effort: Effort, last: int, nudge: int = 0) -> Evidence:
+    """(8) for the powers of (A, B) itself, in rational numbers: every e_i must be zero.
+
+    Parameters
+    ----------
+    effort : Effort
+    last : int
+        The sum on the right ends at l = i - 1 + last: 1 as printed, which takes A^-1, 0 as is meant.
+    nudge : int
+        Change one entry of the predictor's A by that much.
+    """
+    rng = effort.rng("eq-8")
+    gaps: list[Fraction | int] = []
+    for _ in range(max(1, effort.cases // 4)):
+        n, N = int(rng.integers(1, 4)), 4
+        lower = np.tril(rng.integers(-3, 4, (n, n)), -1) + np.eye(n, dtype=int)
+        upper = np.triu(rng.integers(-3, 4, (n, n)), 1) + np.eye(n, dtype=int)
+        # Of determinant one, so that the inverse is in integers too and rounding finds it.
+        inverse = np.rint(np.linalg.inv(lower @ upper)).astype(int)
+        A, back = ((lower @ upper) + 0 * rational(rng, n, n), inverse + 0 * rational(rng, n, n))
+        B, x, s = rational(rng, n, 2), rational(rng, n), rational(rng, N + 1, 2)
+        x[0], B[0, 0], s[:, 0], s[:, 1] = Fraction(1), Fraction(1), Fraction(1), Fraction(0)
+        truth = powers(A, B, N)
+        wrong = A.copy()
+        wrong[0, 0] += nudge
+        for i in range(N + 1):
+            right = predict(truth, i, x, s) + last * (back @ B @ s[i])
+            gaps.extend(np.abs(predict(powers(wrong, B, N), i, x, s) - right))
+    return _exact(gaps, max(1, effort.cases // 4))
+
+
+def check_error_bound(effort: Effort, approaching: bool = True) -> Evidence:
+    """Compare the errors of maps A_i(k) = A^i + D_i/(k+1) with (8), where omega_1 = 0 and omega_2, omega_3 -> 0.
+
+    Parameters
+    ----------
+    effort : Effort
+    approaching : bool
+        False: the errors D_i stay.
+    """
+    rng = effort.rng("assumption-4b")
+    excess = []
+    for _ in range(effort.cases):
+        plant, D = _general_maps(rng)
+        N, k = plant.horizon, np.arange(50)
+        fade = 1 / (k + 1)[:, None, None, None]
+        held = fade if approaching else np.ones_like(fade)
+        maps = PredictorMaps(plant.A + held * D.A * (np.arange(N + 1) > 0)[:, None, None], plant.B + held * D.B)
+        x, s = rng.normal(size=(50, plant.n)), rng.normal(size=(50, N, plant.q)) * 10.0 ** rng.uniform(-3, 3)
+        e2 = np.sum((maps.predict(x, s) - plant.predict(x, s)) ** 2, axis=-1)
+        omega2 = 2 * np.max(np.linalg.norm(D.A, 2, axis=(-2, -1))) ** 2 / (k + 1) ** 2
+        omega3 = 2 * N * np.max(np.linalg.norm(D.B, 2, axis=(-2, -1))) ** 2 / (k + 1) ** 2
+        inputs = np.concatenate([np.zeros((50, 1)), np.cumsum(np.sum(s**2, axis=-1), axis=-1)], axis=-1)
+        bound = omega2[:, None] * np.sum(x**2, axis=-1)[:, None] + omega3[:, None] * inputs
+        excess.append(float(np.max((e2 - bound) / bound)))
+    return Evidence(len(excess), worst_of(excess), 1e-12, "rounding of a few products")
+
+
+def check_bounded_signals(effort: Effort, growing: bool = False) -> Evidence:
+    """Errors of maps that approach those of the plant, late over early, along signals that stay bounded.
+
+    Parameters
+    ----------
+    effort : Effort
+    growing : bool
+        Let the signals grow like k + 1.
+    """
+    rng = effort.rng("remark-1.bounded")
+    left = []
+    for _ in range(effort.cases):
+        plant, D = _general_maps(rng)
+        x, s = rng.normal(size=plant.n), rng.normal(size=(plant.horizon, plant.q))
+        errors = []
+        for k in (0, 9999):
+            maps = PredictorMaps(
+                plant.A + D.A / (k + 1) * (np.arange(plant.horizon + 1) > 0)[:, None, None], plant.B + D.B / (k + 1)
+            )
+            size = k + 1 if growing else 1
+            errors.append(float(np.max(np.abs(maps.predict(size * x, size * s) - plant.predict(size * x, size * s)))))
+        left.append(errors[1] / errors[0])
+    return Evidence(len(left), worst_of(left), 1e-3, "the maps' errors are 1e-4 of what they were")
+
+
+def _general_maps(rng: np.random.Generator) -> tuple[PredictorMaps, PredictorMaps]:
+    """Draw a plant's powers, and maps of the same sizes (with A_0 the identity) to disturb them."""
+    n, q, N = (int(size) for size in rng.integers((1, 1, 1), (4, 3, 5)))
+    plant = SignalModel(rng.normal(size=(n, n)) / np.sqrt(n), rng.normal(size=(n, q)))
+    D = np.concatenate([np.eye(n)[None], rng.normal(size=(N, n, n))])
+    return plant.predictor(N), PredictorMaps(D, rng.normal(size=(N, n, q)))
+
+
+def check_steering(effort: Effort, horizon: int = 3) -> Evidence:
+    """V2, the least terminal value, for controllable models of order 3 with one input.
+
+    Parameters
+    ----------
+    effort : Effort
+    horizon : int
+        N; below 3 not every state can be steered to zero.
+    """
+    rng = effort.rng("assumption-4c")
+    left: list[float] = []
+    while len(left) < effort.cases:
+        model = SignalModel(rng.normal(size=(3, 3)), rng.normal(size=(3, 1)))
+        if margin(model) > 0.1:
+            x = rng.normal(size=3)
+            left.append(float(np.sqrt(solve(V2(model, 1.0, horizon), x).value) / np.linalg.norm(x)))
+    return Evidence(len(left), worst_of(left), _RIGHT, "rounding through a controllability matrix of margin 0.1")
+
+
+def check_reachable_end(effort: Effort, mode: float = 0.8) -> Evidence:
+    """V2 along closed loops with V1 whose predictor is right and stabilizable only: its last value over its first.
+
+    Parameters
+    ----------
+    effort : Effort
+    mode : float
+        Eigenvalue of the state that no input reaches.
+    """
+    rng = effort.rng("eq-9")
+    A, B = rng.normal(size=(effort.cases, 3, 3)), rng.normal(size=(effort.cases, 3, 1))
+    A[:, 2], B[:, 2] = [0.0, 0.0, mode], 0.0
+    model = SignalModel(A, B)
+    x = rng.normal(size=(effort.cases, 3))
+    x[:, 2] = 1.0
+    values = []
+    for k in range(80):
+        values.append(solve(V2(model, 1.0, 4), x).value)
+        x = model.step(x, solve(V1(model, 1.0, 1.0, 1.0, (1 + k) * np.sum(x**2, axis=-1), 4), x).u[..., 0, :])
+    return Evidence(effort.cases, float(np.max(values[-1] / values[0])), 1e-6, f"{mode:g}^158 and rounding")
+
+
+def check_out_of_reach(effort: Effort, reached: bool = False) -> Evidence:
+    """Without Assumption 2: along an unstable left eigenvector that B does not see, no input does anything. Exact.
+
+    Parameters
+    ----------
+    effort : Effort
+    reached : bool
+        Let the input in.
+    """
+    rng = effort.rng("assumption-2")
+    gaps: list[Fraction | int] = []
+    for _ in range(effort.cases):
+        A, B, x = rational(rng, 3, 3), rational(rng, 3, 2), rational(rng, 3)
+        A[2] = [Fraction(0), Fraction(0), Fraction(5, 4)]
+        B[2] = Fraction(int(reached))
+        # Other coordinates T x, in which the left eigenvector is the last row w of T^-1.
+        T, back = np.array([[1, 0, 0], [3, 1, 0], [2, -1, 1]]), np.array([[1, 0, 0], [-3, 1, 0], [-5, 1, 1]])
+        A, B, x, w = T @ A @ back, T @ B, T @ x, back[2]
+        start = w @ x
+        for k in range(1, 6):
+            x = A @ x + B @ (1 + rational(rng, 2) ** 2)
+            gaps.append(abs(w @ x - Fraction(5, 4) ** k * start))
+    return _exact(gaps, effort.cases)
+
+
+def check_right_where_it_matters(effort: Effort, third: float = 0.0) -> Evidence:
+    """Errors of half-blind predictors along their own closed loops, provided that they are wrong elsewhere.
+
+    Parameters
+    ----------
+    effort : Effort
+    third : float
+        Initial value of the state that the predictor is wrong about.
+    """
+    rng = effort.rng("remark-1")
+    plant, predictor = half_blind(rng, effort.cases)
+    x0 = rng.normal(size=(effort.cases, 3))
+    x0[:, 2] = third
+    errors, states = prediction_errors(plant, predictor, x0, 25)
+    largest = np.max(np.linalg.norm(states, axis=-1), axis=0)
+    elsewhere = np.linalg.norm(plant.step(np.eye(3)[2], [0.0, 1.0]) - predictor.step(np.eye(3)[2], [0.0, 1.0]), axis=-1)
+    unseen = np.max(errors, axis=(0, -1)) / largest
+    return Evidence(
+        effort.cases, float(np.max(np.where(elsewhere > 0.1, unseen, np.inf))), _RIGHT, "rounding of four steps"
+    )
+
+
+def check_planned(effort: Effort, right: bool = False) -> Evidence:
+    """Two-step predictions of a fixed model: exact under the applied inputs, wrong under the planned ones.
+
+    Parameters
+    ----------
+    effort : Effort
+    right : bool
+        Take the plant itself as the model, which is right under all inputs.
+    """
+    x0 = effort.rng("remark-1.planned").normal(size=(max(2, effort.cases // 10), 2))
+    setting = turning(np.zeros(41), np.zeros((41, 2)), x0)
+    if right:
+        models = SignalModel(setting.plant.A + 0 * setting.models.A, setting.plant.B + 0 * setting.models.B)
+        setting = replace(setting, models=models)
+    t = follow(setting)
+    x, u = t.x, t.plan.u[..., 0, :]
+    inputs = np.stack([u[:, :-1], u[:, 1:]], axis=-2)
+    maps = PredictorMaps(t.now.A[:, :-1], t.now.B[:, :-1])
+    length = np.linalg.norm(x, axis=-1)
+    applied = np.linalg.norm(maps.predict(x[:, :-1], inputs)[:, :-1, 2] - x[:, 2:], axis=-1) / length[:, :-2]
+    true_end = setting.plant.step(setting.plant.step(x, u), t.plan.u[..., 1, :])
+    planned = np.linalg.norm(t.plan.x[..., 2, :] - true_end, axis=-1) / length
+    # Along some directions of x even a wrong plan is nearly right, so the largest error of each run counts.
+    violation = max(float(np.max(applied)), 0.1 - float(np.min(np.max(planned, axis=1))))
+    return Evidence(len(x0), violation, _RIGHT, "rounding of two steps")
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    _claim(
+        "assumption-2",
+        "Assumption 2",
+        "ass1",
+        "If (A, B) is not stabilizable, no inputs whatever bring every state to zero: the assumption is needed.",
+        method="exact arithmetic",
+        recorded="holds",
+        stated=check_out_of_reach,
+        control=Control("an input that does reach the unstable mode", lambda e: check_out_of_reach(e, reached=True)),
+    ),
+    _claim(
+        "assumption-4a",
+        "Assumption 4(a)",
+        "ass0",
+        "The predictor maps are linear and converge.",
+        method="none",
+        recorded="not-checkable",
+        reason="A hypothesis. Its linear form is checked by eq-5; that convergence is more than the proofs use, by "
+        "lemma-2.differences.",
+    ),
+    _claim(
+        "eq-5",
+        "Equation 5",
+        "predictor",
+        "P_i is linear in x_0 and in the inputs before step i, with A_i and B_{i-1-l} as coefficients.",
+        method="exact arithmetic",
+        recorded="holds-corrected",
+        stated=lambda effort: check_arguments(effort, 1),
+        corrected=lambda effort: check_arguments(effort, 0),
+        control=Control("B_l in the place of B_{i-1-l}", lambda effort: check_arguments(effort, 0, swapped=True)),
+        reason="P_i is printed with u_i as its last argument; nothing in it depends on u_i, the last is u_{i-1}, as in "
+        "(3).",
+    ),
+    _claim(
+        "eq-6",
+        "Equation 6",
+        "p2",
+        "The maps A_i(k), B_i(k) have limits.",
+        method="none",
+        recorded="not-checkable",
+        reason="A hypothesis, and a limit without a rate. Whether the estimator delivers it is theorem-2.i; what the "
+        "proof of Lemma 2 needs in its place, lemma-2.differences.",
+    ),
+    _claim(
+        "assumption-4b",
+        "Assumption 4(b)",
+        "ass0",
+        "Maps that approach the plant's own satisfy the error bound of (8), with explicit omegas that go to zero.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_error_bound,
+        control=Control("errors of the maps that stay", lambda effort: check_error_bound(effort, approaching=False)),
+    ),
+    _claim(
+        "eq-7",
+        "Equation 7",
+        "p4",
+        "Maps that are powers of one model commute, and two of them in a row make the one for all the steps.",
+        method="exact arithmetic",
+        recorded="holds-corrected",
+        stated=lambda effort: check_commuting(effort, printed=True),
+        corrected=check_commuting,
+        control=Control("one entry of A_2 changed", lambda effort: check_commuting(effort, nudge=1)),
+        reason="The range 0 <= i + j <= N + 1 names P_{N+1}, for which there are no maps, and s_N, which is no part of "
+        "the plan. Three equal members up to i + j = N, and the first two up to N + 1 with s_N = 0, are what the proof "
+        "of Lemma 2 uses.",
+    ),
+    _claim(
+        "eq-7.powers",
+        "Equation 7",
+        "p4",
+        "Maps that satisfy (7) from all states and for all inputs are powers of one model.",
+        method="exact arithmetic",
+        recorded="holds",
+        stated=check_powers,
+        control=Control(
+            "(7) only from states that a closed loop may visit", lambda effort: check_powers(effort, everywhere=False)
+        ),
+    ),
+    _claim(
+        "eq-8",
+        "Equation 8",
+        "p3",
+        "The error e_i compares P_i with the system's own i steps; it is zero for the system's own maps.",
+        method="exact arithmetic",
+        recorded="holds-corrected",
+        stated=lambda effort: check_accurate(effort, 1),
+        corrected=lambda effort: check_accurate(effort, 0),
+        control=Control("a predictor of another system", lambda effort: check_accurate(effort, 0, nudge=1)),
+        reason="The sum on the right is to end at i - 1: with l = i it would hold A^-1 B s_i, which need not exist and "
+        "is an error of its own. So is the sum of |s_l|^2 in the bound, where s_i does no harm, but s_N is no part of "
+        "the plan.",
+    ),
+    _claim(
+        "assumption-4c",
+        "Assumption 4(c)",
+        "ass0",
+        "If rank [B_0 ... B_{N-1}] = n, as for a controllable model with N >= n, every terminal state can be zero.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_steering,
+        control=Control("a horizon shorter than the state", lambda effort: check_steering(effort, horizon=2)),
+    ),
+    _claim(
+        "eq-9",
+        "Equation 9",
+        "stabilizability",
+        "For a stabilizable predictor that is right, the least terminal value goes to zero along the closed loop.",
+        method="simulation",
+        recorded="holds",
+        stated=check_reachable_end,
+        control=Control("a mode at 1 that no input reaches", lambda effort: check_reachable_end(effort, mode=1.0)),
+    ),
+    _claim(
+        "remark-1",
+        "Remark 1",
+        "rk0",
+        "Prediction is not identification: predictors that are right along their closed loop may be wrong elsewhere.",
+        method="simulation",
+        recorded="holds",
+        stated=check_right_where_it_matters,
+        control=Control(
+            "a start where the predictor is wrong", lambda effort: check_right_where_it_matters(effort, third=0.1)
+        ),
+    ),
+    _claim(
+        "remark-1.bounded",
+        "Remark 1",
+        "rk0",
+        "If state and inputs stay bounded, the errors e_i(k) go to zero.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_bounded_signals,
+        control=Control("signals that grow like k + 1", lambda effort: check_bounded_signals(effort, growing=True)),
+    ),
+    _claim(
+        "remark-1.planned",
+        "Remark 1",
+        "rk0",
+        "(8) asks for accuracy under the planned inputs, which is more than accuracy along the closed loop: a model "
+        "may predict every applied step and misjudge its own plan.",
+        method="simulation",
+        recorded="holds",
+        stated=check_planned,
+        control=Control("the plant itself as the model", lambda effort: check_planned(effort, right=True)),
+    ),
+)

@@ -1,0 +1,110 @@
+"""All claims, listed; and the one way to run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from rhl.errors import InputError
+from rhl.paper.claims import (
+    assumption_4,
+    lemma_1,
+    lemma_2,
+    lemma_3,
+    lemma_4,
+    lemma_5,
+    lemma_6,
+    simulations,
+    theorem_1,
+    theorem_2,
+    theorem_3,
+)
+from rhl.paper.claims.claim import Claim, Effort, Judgement, judge
+
+VERSION = 1
+
+# In reading order.
+CLAIMS: tuple[Claim, ...] = tuple(
+    claim
+    for module in (
+        assumption_4,
+        lemma_1,
+        lemma_2,
+        lemma_3,
+        theorem_1,
+        lemma_4,
+        lemma_5,
+        theorem_2,
+        lemma_6,
+        theorem_3,
+        simulations,
+    )
+    for claim in module.CLAIMS
+)
+
+# Without Lemma 1, which is set in the revision's colour, the search is "Lemma 4".
+ALIASES = {"lambda-search": "lemma-5", "brief-lemma-4": "lemma-5"}
+
+
+def select(ids: Sequence[str]) -> list[Claim]:
+    """Return the claims of these ids, in the ledger's order; all where none is given.
+
+    Raises
+    ------
+    InputError
+        If an id is not in the ledger.
+    """
+    wanted = {ALIASES.get(id, id) for id in ids}
+    unknown = sorted(wanted - {claim.id for claim in CLAIMS})
+    if unknown:
+        raise InputError(f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}")
+    return [claim for claim in CLAIMS if not wanted or claim.id in wanted]
+
+
+def run(
+    claims: Iterable[Claim], effort: Effort, progress: Callable[[Judgement], None] | None = None
+) -> list[Judgement]:
+    """Judge claims one after the other.
+
+    Parameters
+    ----------
+    claims : iterable of Claim
+    effort : Effort
+    progress : callable, optional
+        Called with each judgement as it is made.
+
+    Returns
+    -------
+    list of Judgement
+    """
+    judgements = []
+    for claim in claims:
+        judgements.append(judge(claim, effort))
+        if progress is not None:
+            progress(judgements[-1])
+    return judgements
+
+
+def as_json(judgements: Iterable[Judgement], effort: Effort) -> dict[str, Any]:
+    """Return judgements in the form that ``rhl verify --json`` writes."""
+    return {"version": VERSION, "seed": effort.seed, "claims": [_entry(judgement) for judgement in judgements]}
+
+
+def _entry(judgement: Judgement) -> dict[str, Any]:
+    claim, evidence = judgement.claim, judgement.evidence
+    return {
+        "id": claim.id,
+        "item": claim.item,
+        "label": claim.label,
+        "statement": claim.statement,
+        "method": claim.method,
+        "cases": evidence.cases if evidence else 0,
+        "worst": evidence.worst if evidence else None,
+        "tolerance": evidence.tolerance if evidence else None,
+        "verdict": judgement.verdict,
+        "reason": claim.reason,
+        "control": {"what": claim.control.what, "tripped": judgement.tripped} if claim.control else None,
+        "page": claim.page,
+        "test": claim.test,
+        "seconds": round(judgement.seconds, 3),
+    }

@@ -1,0 +1,490 @@
+"""Lemma 1: V3 and V2 are quadratic with linear solutions; and the remark that Assumption 5 follows from a rank."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.errors import InfeasibleError
+from rhl.horizon import V1, V2, V3, Plan, Problem, solve
+from rhl.model import PredictorMaps
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+
+_PAGE = "notebooks/05-lemma-1.ipynb"
+_TEST = "tests/paper/claims/test_lemma_1.py"
+
+# Entries of order one; the maps' terminal rank is kept away from a loss by a factor of a hundred.
+_ROUNDING = 1e-9
+
+
+def random_maps(rng: np.random.Generator, n: int, q: int, horizon: int) -> PredictorMaps:
+    """Draw general predictor maps (5), not powers of one matrix, with well conditioned [B_0, ..., B_{N-1}]."""
+    while True:
+        A = rng.normal(size=(horizon + 1, n, n)) / np.sqrt(n)
+        A[0] = np.eye(n)
+        B = rng.normal(size=(horizon, n, q))
+        if np.linalg.cond(np.concatenate(list(B), axis=1)) < 100:
+            return PredictorMaps(A, B)
+
+
+def random_weight(rng: np.random.Generator, n: int) -> Array:
+    """Draw a symmetric positive definite matrix of condition at most 100."""
+    Q = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    return np.asarray(Q @ np.diag(10.0 ** rng.uniform(-1, 1, n)) @ Q.T)
+
+
+def stacked_form(maps: PredictorMaps, Q: Array, R: Array) -> tuple[Array, Array, Array]:
+    """Write V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
+
+    Parameters
+    ----------
+    maps : PredictorMaps
+    Q, R : array
+
+    Returns
+    -------
+    H, C, B : array
+        For w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are
+        predicted to be, and xi_N = r.
+    """
+    N, n, q = maps.horizon, maps.n, maps.q
+    width = n + q
+    size = N * width + n
+    H = np.zeros((size, size))
+    for i in range(N):
+        H[i * width : i * width + q, i * width : i * width + q] = R
+        H[i * width + q : (i + 1) * width, i * width + q : (i + 1) * width] = Q
+
+    def at(i: int) -> slice:
+        return slice(i * width + q, i * width + width) if i < N else slice(N * width, size)
+
+    C, B = np.zeros(((N + 2) * n, size)), np.zeros(((N + 2) * n, 2 * n))
+    for i in range(N + 1):
+        rows = slice(i * n, (i + 1) * n)
+        C[rows, at(i)] = np.eye(n)
+        B[rows, :n] = maps.A[i]
+        for j in range(i):
+            C[rows, j * width : j * width + q] = -maps.B[i - 1 - j]
+    C[(N + 1) * n :, at(N)] = np.eye(n)
+    B[(N + 1) * n :, n:] = np.eye(n)
+    return H, C, B
+
+
+def independent_solution(maps: PredictorMaps, Q: Array, R: Array, x: Array, r: Array) -> tuple[Array, Array]:
+    """Solve V3 by its KKT system, without any of the library's recursion; returns nu, shape (N, q), and its gain."""
+    H, C, B = stacked_form(maps, Q, R)
+    n, q, N = maps.n, maps.q, maps.horizon
+    # xi_N carries no weight of its own; the constraint fixes it, so any weight leaves the solution as it is.
+    H = H + np.diag(np.r_[np.zeros(len(H) - n), np.ones(n)])
+    kkt = np.block([[2 * H, C.T], [C, np.zeros((len(C), len(C)))]])
+    gain = np.linalg.lstsq(kkt, np.concatenate([np.zeros((len(H), 2 * n)), B]), rcond=None)[0][: len(H)]
+    w = gain @ np.concatenate([x, r])
+    return np.stack([w[i * (n + q) : i * (n + q) + q] for i in range(N)]), gain
+
+
+def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
+    n, q = (int(size) for size in rng.integers(1, 4, 2))
+    maps = random_maps(rng, n, q, int(rng.integers(n, 7)))
+    return maps, random_weight(rng, n), random_weight(rng, q)
+
+
+def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
+    """Superpose solutions of V3 and compare with an independent solver.
+
+    Parameters
+    ----------
+    effort : Effort
+    bend : float
+        Add that much of |x| to r, so that the right side is no longer linear in (x, r).
+    """
+    rng, gaps = effort.rng("lemma-1.a"), []
+    for _ in range(effort.cases):
+        maps, Q, R = _draw(rng)
+        x, r = rng.normal(size=(2, 3, maps.n))
+        x[2], r[2] = x[0] + 2 * x[1], r[0] + 2 * r[1]
+        r = r + bend * np.linalg.norm(x, axis=1, keepdims=True)
+        u = np.stack([solve(V3(maps, Q, R, r[i], maps.horizon), x[i]).u for i in range(3)])
+        scale = 1 + np.max(np.abs(u))
+        other, _ = independent_solution(maps, Q, R, x[0], r[0])
+        gaps.append(float(np.max(np.abs(u[2] - u[0] - 2 * u[1])) / scale))
+        gaps.append(float(np.max(np.abs(u[0] - other)) / scale))
+    return Evidence(len(gaps), worst_of(gaps), _ROUNDING, "rounding through a well conditioned KKT system")
+
+
+def polarise(value: Callable[[Array], float], size: int) -> Array:
+    """Return the symmetric S with value(p) = p'Sp, from values alone: S_ab = (value(a + b) - value(a - b)) / 4.
+
+    Parameters
+    ----------
+    value : callable
+        From an array of shape (size,); what it returns is checked by whoever asks.
+    size : int
+
+    Returns
+    -------
+    array, shape (size, size)
+    """
+    eye = np.eye(size)
+    S = np.array([[(value(a + b) - value(a - b)) / 4 for b in eye] for a in eye])
+    return np.asarray((S + S.T) / 2)
+
+
+def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
+    """Recover S_3, S_4, S_5 of V_3 = x'S_3x + x'S_4r + r'S_5r by probing, and predict values elsewhere.
+
+    Parameters
+    ----------
+    effort : Effort
+    cubic : float
+        Add that much of |x|^3 to the values, which no quadratic form can follow.
+    """
+    rng, gaps = effort.rng("lemma-1.a.value"), []
+    for _ in range(max(1, effort.cases // 4)):
+        maps, Q, R = _draw(rng)
+        n = maps.n
+
+        def value(point: Array, maps: PredictorMaps = maps, Q: Array = Q, R: Array = R, n: int = n) -> float:
+            plan = solve(V3(maps, Q, R, point[n:], maps.horizon), point[:n])
+            return float(plan.value) + cubic * float(np.linalg.norm(point[:n]) ** 3)
+
+        S = polarise(value, 2 * n)
+        for point in rng.normal(size=(3, 2 * n)):
+            found = value(point)
+            gaps.append(abs(float(point @ S @ point) - found) / (1 + found))
+            gaps.append(-min(found, 0.0))
+    return Evidence(len(gaps), worst_of(gaps), _ROUNDING, "rounding of sums of squares")
+
+
+def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
+    """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols x, r, a1, a2, b0, b1, Q, R.
+
+    Parameters
+    ----------
+    R_sign : int
+        0 takes R = 0 and the stage weight Q = 0.
+
+    Returns
+    -------
+    solutions : list of dict
+        For v0, v1 and the multiplier mu.
+    curvature : sympy expression
+        The objective's second derivative along (1, -b1/b0), the one direction that leaves xi_2 as it is.
+    """
+    import sympy as sp  # here, because it takes a while to load
+
+    x, r, a1, a2 = sp.symbols("x r a1 a2", real=True)
+    b0, b1, Q, R = sp.symbols("b0 b1 Q R", positive=True)
+    v0, v1, mu = sp.symbols("v0 v1 mu")
+    xi1, xi2 = a1 * x + b0 * v0, a2 * x + b1 * v0 + b0 * v1
+    cost = Q * R_sign * (x**2 + xi1**2) + R * R_sign * (v0**2 + v1**2)
+    lagrangian = cost + mu * (xi2 - r)
+    solutions = sp.solve([sp.diff(lagrangian, symbol) for symbol in (v0, v1, mu)], [v0, v1, mu], dict=True)
+    free = sp.Matrix([1, -b1 / b0])
+    return solutions, sp.expand((free.T * sp.hessian(cost, (v0, v1)) * free)[0])
+
+
+def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
+    """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols: one solution, linear in x and r.
+
+    Parameters
+    ----------
+    effort : Effort
+        Not used: nothing is drawn.
+    R_sign : int
+        0 takes R = 0 and the stage weight Q = 0, which leaves the solution open.
+    """
+    import sympy as sp  # here, because it takes a while to load
+
+    x, r = sp.symbols("x r", real=True)
+    v0, v1 = sp.symbols("v0 v1")
+    solutions, curvature = symbolic_solution(R_sign)
+    if len(solutions) != 1 or not {v0, v1} <= set(solutions[0]):
+        return Evidence(1, 1.0)
+    faults = 0
+    for unknown in (v0, v1):
+        solution = solutions[0][unknown]
+        linear = sp.diff(solution, x) * x + sp.diff(solution, r) * r
+        faults += sp.simplify(solution - linear) != 0 or bool(linear.diff(x, 2) != 0)
+    # Positive along the one free direction, so the solution is the minimiser.
+    faults += not curvature.is_positive
+    return Evidence(3, float(faults))
+
+
+def check_v2(effort: Effort, sample: bool = False) -> Evidence:
+    """Superpose least-norm solutions of V2, and recover its value as a positive semidefinite form.
+
+    Parameters
+    ----------
+    effort : Effort
+    sample : bool
+        Take some other minimiser of V2, chosen differently for each x.
+    """
+    rng, gaps = effort.rng("lemma-1.b"), []
+    for _ in range(effort.cases):
+        n = int(rng.integers(2, 4))
+        # A rank-one B_i leaves directions that cannot be steered, so that V2 is positive.
+        maps = random_maps(rng, n, 1, n)
+        maps = PredictorMaps(maps.A, maps.B * np.eye(n)[0][:, None])
+        x = rng.normal(size=(3, n))
+        x[2] = x[0] + 2 * x[1]
+        u = np.stack([solve(V2(maps, 1.0, n), each).u for each in x])
+        if sample:
+            push = np.linalg.svd(np.concatenate(list(maps.B[::-1]), axis=1))[2][-1]
+            u = u + np.abs(rng.normal(size=3))[:, None, None] * push[:, None]
+        gaps.append(float(np.max(np.abs(u[2] - u[0] - 2 * u[1])) / (1 + np.max(np.abs(u)))))
+
+        def value(point: Array, maps: PredictorMaps = maps, n: int = n) -> float:
+            return float(solve(V2(maps, 1.0, n), point).value)
+
+        S = polarise(value, n)
+        gaps.append(-float(np.min(np.linalg.eigvalsh(S))))
+        gaps.append(abs(float(x[0] @ S @ x[0] - solve(V2(maps, 1.0, n), x[0]).value)))
+    return Evidence(len(gaps), worst_of(gaps), _ROUNDING, "rounding through a well conditioned terminal map")
+
+
+def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
+    """Find by how much the rank of C(k) falls short of what the remark to Assumption 5 says.
+
+    Parameters
+    ----------
+    effort : Effort
+    of : {"column", "row"}
+        Full column rank, as printed, or full row rank.
+    full : bool
+        False draws maps whose [B_0, ..., B_{N-1}] has a rank below n.
+    """
+    rng, short = effort.rng("assumption-5.rank"), []
+    for _ in range(effort.cases):
+        maps, Q, R = _draw(rng)
+        if not full:
+            maps = PredictorMaps(maps.A, maps.B * (np.arange(maps.n)[:, None] > 0))
+        C = stacked_form(maps, Q, R)[1]
+        short.append((C.shape[1] if of == "column" else C.shape[0]) - int(np.linalg.matrix_rank(C)))
+    return Evidence(len(short), float(max(short)), 0.0, "a rank is a whole number; the maps are well conditioned")
+
+
+def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, float]:
+    """Return the norm of V3's gain, from [x; r] to all nu_i and xi_i with i < N, and the bound that is shown for it.
+
+    Parameters
+    ----------
+    maps : PredictorMaps
+        With [B_0, ..., B_{N-1}] of rank n.
+    Q, R : array
+
+    Returns
+    -------
+    float, float
+    """
+    H, C, B = stacked_form(maps, Q, R)
+    n = maps.n
+    weights = np.linalg.eigvalsh(H[:-n, :-n])
+    bound = np.sqrt(weights[-1] / weights[0]) * np.linalg.norm(np.linalg.pinv(C) @ B, 2)
+    gain = independent_solution(maps, Q, R, np.zeros(n), np.zeros(n))[1][:-n]
+    return float(np.linalg.norm(gain, 2)), float(bound)
+
+
+def check_bound(effort: Effort, full: bool = True) -> Evidence:
+    """Find by how much V3's gains exceed the bound that a feasible gain gives.
+
+    The gain C'(CC')^-1 B is feasible, so the optimal one has w'Hw no larger, and is at most sqrt(cond H) times as large
+    (H on the entries that are free).
+
+    Parameters
+    ----------
+    effort : Effort
+    full : bool
+        False lets the rank condition fail: V3 is then infeasible for some (x, r), and no bound exists.
+    """
+    rng, excess = effort.rng("assumption-5.bound"), []
+    for _ in range(effort.cases):
+        maps, Q, R = _draw(rng)
+        n = maps.n
+        if not full:
+            maps = PredictorMaps(maps.A, maps.B * (np.arange(n)[:, None] > 0))
+            try:
+                solve(V3(maps, Q, R, np.eye(n)[0], maps.horizon), np.zeros(n))
+            except InfeasibleError:
+                return Evidence(1, np.inf, 0.0, "V3 is infeasible")
+        gain, bound = gain_and_bound(maps, Q, R)
+        excess.append(gain / bound - 1)
+    return Evidence(len(excess), worst_of(excess), 1e-9, "rounding of the two norms")
+
+
+def weakly_reached(delta: float) -> PredictorMaps:
+    """Return the powers of A = diag(2, 0), B = (1, delta) over two steps: the second state is reached through delta."""
+    A, B = np.diag([2.0, 0.0]), np.array([[1.0], [delta]])
+    return PredictorMaps(np.stack([np.eye(2), A, A @ A]), np.stack([B, A @ B]))
+
+
+def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
+    """See how large V3's gains become while V1's stay bounded, as the second state is reached ever more weakly.
+
+    Parameters
+    ----------
+    effort : Effort
+        Not used: nothing is drawn.
+    least : float
+        The smallest delta.
+    """
+    ours, theirs = [], []
+    for delta in np.geomspace(1.0, least, 7):
+        maps = weakly_reached(float(delta))
+        for x in np.eye(2):
+            ours += [np.max(np.abs(solve(V1(maps, 1.0, 1.0, 1.0, w, 2), x).u)) for w in (1.0, 1e3, 1e6, 1e9)]
+            theirs.append(np.max(np.abs(solve(V3(maps, 1.0, 1.0, x, 2), np.zeros(2)).u)))
+    if max(ours) > 10:
+        return Evidence(len(ours), 0.0, 1e3, "V1's gains are not bounded, so that nothing is refuted")
+    return Evidence(len(theirs), float(max(theirs)), 1e3, "a hundred times the bound of V1's gains")
+
+
+def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
+    """Recompute the certificate of the library's plan for a problem.
+
+    Parameters
+    ----------
+    effort : Effort
+    which : {"V1", "V2", "V3"}
+    nudge : float
+        Move the plan's inputs by that much.
+    """
+    rng, worst = effort.rng(which), []
+    for _ in range(effort.cases):
+        maps, Q, R = _draw(rng)
+        x, N = rng.normal(size=maps.n), maps.horizon
+        problem: Problem
+        if which == "V1":
+            problem = V1(maps, Q, R, Q, 10.0 ** rng.uniform(-2, 6), N)
+        elif which == "V2":
+            maps = PredictorMaps(maps.A, maps.B * (np.arange(maps.n)[:, None] > 0))
+            problem = V2(maps, Q, N)
+        else:
+            problem = V3(maps, Q, R, rng.normal(size=maps.n), N)
+        u = solve(problem, x).u
+        u = u + nudge * rng.normal(size=u.shape)
+        worst.append(float(Plan(problem, u, maps.predict(x, u)).residual()))
+    return Evidence(len(worst), worst_of(worst), 1e-12, "rounding, relative to the terms that cancel")
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    _claim(
+        "lemma-1.a",
+        "Lemma 1(a)",
+        "mp",
+        "The solution of V3 is unique and linear in (x, r), for general predictor maps.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_linear,
+        control=Control("a terminal state that depends on |x|", lambda effort: check_linear(effort, bend=0.1)),
+    ),
+    _claim(
+        "lemma-1.a.symbolic",
+        "Lemma 1(a)",
+        "mp",
+        "For n = q = 1, N = 2 the KKT system of V3 has one solution, linear in (x, r).",
+        method="symbolic identity",
+        recorded="holds",
+        stated=check_symbolic,
+        control=Control("Q = R = 0", lambda effort: check_symbolic(effort, R_sign=0)),
+    ),
+    _claim(
+        "lemma-1.a.value",
+        "Lemma 1(a)",
+        "mp",
+        "V3 is the nonnegative quadratic form x'S_3x + x'S_4r + r'S_5r.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_quadratic,
+        control=Control("a cubic term in the value", lambda effort: check_quadratic(effort, cubic=0.1)),
+    ),
+    _claim(
+        "lemma-1.b",
+        "Lemma 1(b)",
+        "mp",
+        "V2 is a positive semidefinite form x'S_6x, and its least-norm solution is linear in x.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_v2,
+        control=Control("some minimiser instead of the least one", lambda effort: check_v2(effort, sample=True)),
+    ),
+    _claim(
+        "assumption-5",
+        "Assumption 5",
+        "new",
+        "The gains of the solutions of V3 and of V1 along the closed loop stay below one bound.",
+        method="none",
+        recorded="not-checkable",
+        reason="A hypothesis about a whole infinite run; what implies part (a) is checked by assumption-5.bound.",
+    ),
+    _claim(
+        "assumption-5.rank",
+        "Assumption 5",
+        "new",
+        "If [B_0, ..., B_{N-1}] has rank n, then the constraint matrix C(k) of V3 has full rank.",
+        method="numerical sampling",
+        recorded="holds-corrected",
+        stated=lambda effort: check_rank(effort, "column"),
+        corrected=lambda effort: check_rank(effort, "row"),
+        control=Control("maps of a lower rank", lambda effort: check_rank(effort, "row", full=False)),
+        reason="Full row rank is meant, not column rank, and the feasible gain is C'(CC')^-1 B, not (C'C)^-1 C'B.",
+    ),
+    _claim(
+        "assumption-5.bound",
+        "Assumption 5",
+        "new",
+        "Under that rank condition the gains of V3 obey an explicit bound.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_bound,
+        control=Control("maps of a lower rank", lambda effort: check_bound(effort, full=False)),
+    ),
+    _claim(
+        "assumption-5.implies",
+        "Assumption 5",
+        "new",
+        "Part (b), bounded gains of V1, implies part (a), bounded gains of V3, as the proof of Theorem 1 uses.",
+        method="numerical sampling",
+        recorded="refuted",
+        stated=check_implication,
+        control=Control("a state that is reached yet more weakly", lambda effort: check_implication(effort, 1e-5)),
+        reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
+        "V3 with respect to r grow like 1/delta. Asking for (a) along V1's loop gives (b) and what the proof needs.",
+    ),
+    _claim(
+        "eq-3",
+        "Equation 3",
+        "mpc1",
+        "V1, as the library solves it: its plans meet the optimality conditions.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=lambda effort: check_optimality(effort, "V1"),
+        control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V1", 1e-6)),
+    ),
+    _claim(
+        "eq-10",
+        "Equation 10",
+        "mpc2",
+        "V2, as the library solves it: its plans meet the optimality conditions.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=lambda effort: check_optimality(effort, "V2"),
+        control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V2", 1e-6)),
+    ),
+    _claim(
+        "eq-11",
+        "Equation 11",
+        "mpc3",
+        "V3, as the library solves it: its plans meet the optimality conditions and end in r.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=lambda effort: check_optimality(effort, "V3"),
+        control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V3", 1e-6)),
+    ),
+)

@@ -1,0 +1,442 @@
+"""Lemma 2: a closed loop with V3 and r(k) -> 0 comes to rest; equations (25)-(38) of its proof, one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.horizon import V3, solve
+from rhl.model import SignalModel
+from rhl.paper.claims import lyapunov_inequalities as steps
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.paper.claims.lyapunov_terms import (
+    SIZES,
+    Bounds,
+    Setting,
+    Terms,
+    at_the_end,
+    bounds,
+    draw,
+    follow,
+    size,
+    square,
+)
+from rhl.paper.claims.rotating_models import PLANE, losing, turning
+
+_PAGE = "notebooks/06-lemma-2.ipynb"
+_TEST = "tests/paper/claims/test_lemma_2.py"
+
+_STEPS = 40
+# Relative to the values of V3 at the same step; gains of up to a few hundred magnify rounding that much.
+_ROUNDING = 1e-9
+# A loop has come to rest if its last state and input are below this share of the largest.
+_AT_REST = 1e-3
+
+Violation = Callable[[Terms, Bounds], Array]
+
+
+@cache
+def sample(seed: int, cases: int, error_decay: float = 0.6) -> tuple[tuple[Terms, Bounds], ...]:
+    """Draw and follow closed loops, of each of the sizes; kept, for all equations of the proof look at them."""
+    rng = Effort(seed).rng("lemma-2")
+    each = -(-cases // len(SIZES))
+    loops = [follow(draw(rng, each, sizes, _STEPS, error_decay)) for sizes in SIZES]
+    return tuple((t, bounds(t)) for t in loops)
+
+
+def along(violation: Violation, effort: Effort, error_decay: float = 0.6) -> Evidence:
+    """Compute the largest relative violation along the sampled closed loops."""
+    loops = sample(effort.seed, effort.cases, error_decay)
+    found = [float(np.max(violation(t, b))) for t, b in loops]
+    return Evidence(sum(len(t.setting.x0) for t, _ in loops), worst_of(found), _ROUNDING, "rounding, relative to V3")
+
+
+def check_young(effort: Effort, skew: float = 0.0) -> Evidence:
+    """(29) for random symmetric Q and for the y that makes it tight.
+
+    Parameters
+    ----------
+    effort : Effort
+    skew : float
+        Add a skew-symmetric part to Q, which x'Qx does not see.
+    """
+    rng = effort.rng("eq-29")
+    excess = []
+    for _ in range(effort.cases):
+        n, rho = int(rng.integers(2, 6)), float(10 ** rng.uniform(-3, 3))
+        root = rng.normal(size=(n, n))
+        Q = root @ root.T
+        lam, vectors = np.linalg.eigh(Q)
+        Q = Q + skew * lam[-1] * (np.eye(n, k=1) - np.eye(n, k=-1))
+        for x in (rng.normal(size=n), vectors[:, -1]):
+            tight = rho * Q.T @ x / lam[-1]
+            for y in (rng.normal(size=n), tight):
+                right = lam[-1] * (rho / 2 * x @ x + y @ y / (2 * rho))
+                excess.append(float((x @ Q @ y - right) / right))
+    return Evidence(len(excess), worst_of(excess), 1e-12, "rounding of a few products")
+
+
+def check_constant(effort: Effort, with_c: bool) -> Evidence:
+    """From (33) and (36) to (38), with Young's constant as printed or as is right.
+
+    An exact predictor and r(k) = 0, so that all beta are zero; r(k+1) such that Young's inequality is tight.
+
+    Parameters
+    ----------
+    effort : Effort
+    with_c : bool
+        Take 2 rho-bar c < mu; otherwise 2 rho-bar < mu, as printed.
+    """
+    rng = effort.rng("eq-38.constant")
+    excess = []
+    for case in range(effort.cases):
+        A = rng.normal(size=(2, 2)) + (5.0 if case % 2 else 8.0) * np.eye(2, k=1)
+        model = SignalModel(A, np.array([[0.0], [1.0]]) + 0.1 * rng.normal(size=(2, 1)))
+        x0 = np.array([[0.2 * rng.normal(), 1.0]])
+        zero = np.zeros((1, 3, 2))
+        models = SignalModel(*(np.broadcast_to(M, (1, 3, *M.shape)) for M in (model.A, model.B)))
+        t = follow(Setting(SignalModel(A[None], model.B[None]), models, zero, x0, np.zeros((1, 2, 3)), 3))
+        c = size(np.concatenate([A, model.B], axis=1)) ** 2 / 2
+        rho = 0.49 / (float(c) if with_c else 1.0)
+        S4, S5, x_next = 2 * t.S[0, 0, :2, 2:], t.S[0, 0, 2:, 2:], t.x_next[0, 0]
+        r_next = np.linalg.lstsq(S4, rho * x_next, rcond=None)[0]
+        value = solve(V3(model, 1.0, 1.0, r_next, 3), x_next).value
+        right = -0.5 * (square(x0[0]) + square(t.plan.u[0, 0, 0])) + r_next @ S5 @ r_next
+        right = right + square(S4 @ r_next) / (2 * rho)
+        excess.append(float((value - t.plan.value[0, 0] - right) / (t.plan.value[0, 0] + value)))
+    return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding, relative to V3")
+
+
+def check_rest(effort: Effort, floor: float = 0.0) -> Evidence:
+    """Run closed loops with V3, models that approach the plant, and r(k) -> 0.
+
+    Parameters
+    ----------
+    effort : Effort
+    floor : float
+        Keep r(k) at least this large instead.
+    """
+    rng = effort.rng("lemma-2.rest")
+    found: list[float] = []
+    for sizes in SIZES:
+        setting = draw(rng, -(-effort.cases // len(SIZES)), sizes, 2 * _STEPS, 0.9)
+        found.extend(float(end) for end in at_the_end(replace(setting, r=setting.r + floor)))
+    return Evidence(len(found), worst_of(found), _AT_REST, "r(k) is 1e-8 of what it was, the slowest loop not yet")
+
+
+def check_gains(effort: Effort, floor: float = 0.1) -> Evidence:
+    """Run a model that approaches the plant and, with floor 0, loses controllability: its gains grow beyond bounds.
+
+    Parameters
+    ----------
+    effort : Effort
+        Not used: nothing is drawn.
+    floor : float
+        How far the model's second state stays within reach; with a floor the gains are bounded, and e_1 decays all
+        the same because x and u do.
+    """
+    last = float(at_the_end(losing(4000, floor))[0])
+    return Evidence(1, last, 5e-3, "r(k) = 1/(k+1) is 3e-4 of what it was, times the gain 1/floor")
+
+
+def check_turning(effort: Effort, spin: float | None = None, growth: float = PLANE) -> Evidence:
+    """Run a model that turns for ever in ever smaller steps, right about the step taken and about little else.
+
+    Parameters
+    ----------
+    effort : Effort
+    spin : float, optional
+        Turn by this angle at every step instead.
+    growth : float
+        Of the plant; with another one the model is wrong about the step taken too.
+    """
+    k = np.arange(161.0)
+    phase = np.sqrt(k) if spin is None else spin * k
+    r = 0.9 ** k[:, None] * effort.rng("lemma-2.turning").normal(size=2)
+    x0 = effort.rng("lemma-2.turning.start").normal(size=(max(2, effort.cases // 10), 2))
+    setting = turning(phase, r, x0, growth)
+    last = phase[80:]
+    if last[-1] - last[0] < np.pi / 2:
+        return Evidence(0, np.nan)
+    return Evidence(len(x0), float(np.max(at_the_end(setting))), _AT_REST, "r(k) is 5e-8 of what it was")
+
+
+def check_second_step(effort: Effort, growth: float = PLANE) -> Evidence:
+    """Look whether the model's two-step errors stay at least a tenth of the state while its one-step errors vanish.
+
+    Parameters
+    ----------
+    effort : Effort
+    growth : float
+        Of the plant; the model is made for the default.
+    """
+    k = np.arange(41.0)
+    x0 = effort.rng("lemma-2.one-step").normal(size=(max(2, effort.cases // 10), 2))
+    setting = turning(0 * k, np.zeros((41, 2)), x0, growth)
+    t = follow(setting)
+    two = setting.plant.step(setting.plant.step(t.x, t.plan.u[..., 0, :]), t.plan.u[..., 1, :])
+    one_step = np.sqrt(square(t.e1) / square(t.x))
+    two_steps = np.sqrt(square(t.plan.x[..., 2, :] - two) / square(t.x))
+    still = 0.1 - float(np.min(np.max(two_steps[:, 20:], axis=1)))
+    violation = max(float(np.max(one_step)), still, float(np.max(at_the_end(setting))) - 0.1)
+    return Evidence(len(x0), violation, 1e-9, "rounding of one step")
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    rest = {"method": "numerical sampling", "recorded": "holds", **rest}
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+def _step(
+    id: str,
+    label: str,
+    statement: str,
+    violation: Violation,
+    broken: tuple[str, dict[str, Any]],
+    printed: dict[str, Any] | None = None,
+    reason: str = "",
+) -> Claim:
+    """Return the claim of one equation; ``printed`` are the switches that take it as printed, where that fails."""
+    what, switches = broken
+    check = partial(along, violation)
+    stated = check if printed is None else partial(along, partial(violation, **printed))
+    number = id.removeprefix("eq-").split(".")[0]
+    return _claim(
+        id,
+        f"Equation {number}" if id.startswith("eq-") else "Lemma 2",
+        label,
+        statement,
+        recorded="holds" if printed is None else "holds-corrected",
+        stated=stated,
+        corrected=None if printed is None else check,
+        control=Control(what, partial(along, partial(violation, **switches))),
+        reason=reason,
+    )
+
+
+_ONE_STEP = (
+    "The one-step error is e_1 in the notation of (8), not e_0, which is zero; its printed bound is that of e_1 with "
+    "the sum in (8) ending at i - 1."
+)
+_GAMMA = (
+    "gamma is at most gamma_1 x'x + gamma_2 r'r + gamma_3 with a constant gamma_3(k) -> 0: r(k+1) is not bounded by "
+    "r(k), as x(k) = r(k) = 0 with r(k+1) != 0 shows. It goes to zero because r(k) does, and changes no conclusion."
+)
+
+CLAIMS: tuple[Claim, ...] = (
+    _claim(
+        "lemma-2",
+        "Lemma 2",
+        "convergenceMPC3",
+        "The closed loop with V3, accurate predictor maps, bounded gains and r(k) -> 0 brings state and input to zero.",
+        method="simulation",
+        stated=check_rest,
+        control=Control("r(k) not going to zero", lambda effort: check_rest(effort, floor=0.1)),
+    ),
+    _claim(
+        "lemma-2.gains",
+        "Lemma 2",
+        "convergenceMPC3",
+        "Assumption 5(a) is needed: with it the loop rests, and a model that loses controllability in the limit can "
+        "keep the loop from it although r(k) -> 0 and every other assumption holds.",
+        method="simulation",
+        stated=check_gains,
+        control=Control("gains that grow beyond bounds", lambda effort: check_gains(effort, floor=0.0)),
+    ),
+    _claim(
+        "lemma-2.differences",
+        "Lemma 2",
+        "convergenceMPC3",
+        "The maps need not converge: with the other assumptions, bounded maps whose steps go to zero are enough.",
+        method="simulation",
+        stated=check_turning,
+        control=Control("a model that turns by half a radian at every step", partial(check_turning, spin=0.5)),
+    ),
+    _claim(
+        "lemma-2.one-step",
+        "Lemma 2",
+        "convergenceMPC3",
+        "Of (8) only i = 1 is used: the loop rests although predictions over two steps stay wrong by a share of x.",
+        method="simulation",
+        stated=check_second_step,
+        control=Control("a plant about which one step is wrong too", partial(check_second_step, growth=3.0)),
+    ),
+    _step(
+        "lemma-2.positive",
+        "convergenceMPC3",
+        "V3(x, p) is at least lambda_min(Q) x'x.",
+        steps.below_state,
+        ("twice that constant", {"share": 2.0}),
+    ),
+    _step(
+        "eq-25",
+        "V0",
+        "The increment of V3 is a change of terminal state at time k+1 plus a step of time with r~+ as terminal state; "
+        "all three problems are feasible.",
+        steps.split,
+        ("the middle value of the second part taken with the maps of time k", {"stale": True}),
+    ),
+    _step(
+        "eq-26",
+        "rt",
+        "r~+ is where the maps of time k+1 take the shifted plan nu_1 ... nu_{N-1}, 0.",
+        steps.shifted_end,
+        ("another last input than zero", {"last": 1.0}),
+    ),
+    _step(
+        "eq-27",
+        "statet",
+        "The new prediction of the shifted plan is the old prediction plus w.",
+        steps.shifted_states,
+        ("the one-step error left out", {"printed": True}),
+        printed={"printed": True},
+        reason=_ONE_STEP,
+    ),
+    _step(
+        "eq-28",
+        "",
+        "w_i consists of the one-step error and of the steps that the maps take from k to k+1.",
+        steps.written_w,
+        ("the one-step error left out", {"printed": True}),
+        printed={"printed": True},
+        reason=_ONE_STEP,
+    ),
+    _claim(
+        "eq-29",
+        "Equation 29",
+        "young",
+        "x'Qy <= lambda (rho/2 x'x + y'y/(2 rho)) for symmetric Q between 0 and lambda.",
+        stated=check_young,
+        control=Control("a skew-symmetric part in Q, which x'Qx does not see", partial(check_young, skew=0.5)),
+    ),
+    _claim(
+        "eq-30",
+        "Equation 30",
+        "bw",
+        "|w_i|^2 is at most alpha_1 x'x + alpha_2 r'r + alpha_3 with explicit coefficients that go to zero.",
+        stated=partial(along, steps.bounded_w),
+        control=Control(
+            "a predictor whose error does not decay", lambda effort: along(steps.bounded_w, effort, error_decay=1.0)
+        ),
+    ),
+    _step(
+        "eq-31",
+        "eq2",
+        "The cost of the shifted plan is that of the old predictions, moved by w, and of the old inputs but the first.",
+        steps.shifted_cost,
+        ("w left out", {"with_w": False}),
+    ),
+    _step(
+        "eq-32",
+        "V1",
+        "By optimality the step of time costs at most -x'Qx - nu_0'R nu_0 plus terms in r and w.",
+        steps.first_bound,
+        ("the products of xi and w left out", {"cross": False}),
+    ),
+    _step(
+        "eq-33",
+        "V1a",
+        "The same with coefficients beta_1, beta_2, beta_3 -> 0 and small beta_4, beta_5; r'Qr, whose weight is not "
+        "small, is part of beta_3.",
+        steps.first_step,
+        ("r'Qr not counted in beta_3", {"counted": False}),
+    ),
+    _step(
+        "eq-34",
+        "bw2",
+        "|r~+|^2 is at most 2 alpha_1 x'x + 2 alpha_2 r'r plus a constant that goes to zero with r(k).",
+        steps.bounded_end,
+        ("r(k) left out of the constant", {"with_r": False}),
+    ),
+    _step(
+        "eq-34.end",
+        "bw2",
+        "r~+ is A_1(k) r(k) + w_N.",
+        steps.end_with_w,
+        ("r + w_N", {"printed": True}),
+        printed={"printed": True},
+        reason="Above (34) r~+ = A_1(k) r + w_N is derived; below (36) it is written r + w_N. The bounds change by the "
+        "factor |A_1(k)|^2 only.",
+    ),
+    _step(
+        "eq-35",
+        "V2x",
+        "Two values of V3 from the same state differ by x'S_4 (r+ - r~+) and two quadratic forms in S_5.",
+        steps.same_state,
+        ("the cross term halved", {"halved": True}),
+    ),
+    _step(
+        "eq-36",
+        "V3",
+        "By Young's inequality that difference is at most rho-bar/2 |Ax + B nu_0|^2 + gamma.",
+        steps.second_bound,
+        ("half the term in Ax + B nu_0", {"share": 0.5}),
+    ),
+    _step(
+        "eq-36.gamma",
+        "V3",
+        "gamma has a bound whose coefficients go to zero.",
+        steps.bounded_gamma,
+        ("the constant term left out", {"constant": False}),
+        printed={"constant": False},
+        reason=_GAMMA,
+    ),
+    _step(
+        "eq-37",
+        "V3a",
+        "The change of terminal state costs at most rho-bar c (x'x + nu_0'nu_0) plus the bound of gamma.",
+        steps.second_step,
+        ("the constant term left out", {"constant": False}),
+        printed={"constant": False},
+        reason=_GAMMA,
+    ),
+    _step(
+        "eq-38",
+        "lyapinqe",
+        "V3 decreases by mu/2 (x'x + nu_0'nu_0) up to terms with coefficients that are small or go to zero.",
+        steps.decrease,
+        ("the constant term left out", {"constant": False}),
+        printed={"constant": False},
+        reason=_GAMMA + " What (33) and (37) are inserted into is (25), not (32).",
+    ),
+    _claim(
+        "eq-38.constant",
+        "Equation 38",
+        "lyapinqe",
+        "Young's constant can be chosen so that (33) and (36) give (38).",
+        recorded="holds-corrected",
+        stated=partial(check_constant, with_c=False),
+        corrected=partial(check_constant, with_c=True),
+        control=Control("2 rho-bar < mu, as printed", partial(check_constant, with_c=False)),
+        reason="2 rho-bar < mu should read 2 rho-bar c < mu, with c from (37); where c > 1, as for a plant with large "
+        "A, (38) fails with the printed choice.",
+    ),
+    _step(
+        "lemma-2.conclusion",
+        "convergenceMPC3",
+        "From (38) it follows that x(k) goes to zero.",
+        steps.contracts_up_to_delta,
+        ("delta left out", {"with_delta": False}),
+        printed={"falling": True},
+        reason="The right side of (38) is not negative for all large k and x(k) != 0: V3 rises whenever r(k+1) is "
+        "large beside x(k). What follows, with V3 <= s (x'x + r'r), is V3+ <= (1 - kappa/s) V3 + delta(k) and "
+        "delta(k) -> 0, and such a sequence goes to zero.",
+    ),
+    _claim(
+        "lemma-2.input",
+        "Lemma 2",
+        "convergenceMPC3",
+        "With the state, the input goes to zero.",
+        recorded="holds-corrected",
+        stated=partial(along, steps.value_at_rest),
+        corrected=partial(along, steps.input_by_gains),
+        control=Control("r(k) left out of the bound", partial(along, partial(steps.input_by_gains, with_r=False))),
+        reason="V3(0, p_3) = 0 holds for r = 0 only; otherwise it is r'S_5 r. The input goes to zero because "
+        "u = K_3 x + K_4 r with bounded gains.",
+    ),
+)

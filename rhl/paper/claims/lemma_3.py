@@ -1,0 +1,190 @@
+"""Lemma 3: how close to the best terminal state a plan of V1 ends, with an explicit constant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.horizon import V1, V2, Plan, solve
+from rhl.model import PredictorMaps
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.paper.claims.lemma_1 import random_maps, random_weight
+
+_PAGE = "notebooks/07-lemma-3.ipynb"
+_TEST = "tests/paper/claims/test_lemma_3.py"
+_ROUNDING = 1e-9
+
+
+def size_of(plan: Plan) -> float:
+    """Return the sum of |xi_i|^2 + |nu_i|^2 over i = 0 ... N-1, which Gamma has to dominate."""
+    return float(np.sum(plan.x[:-1] ** 2) + np.sum(plan.u**2))
+
+
+def rho(Q: Array, R: Array, c: float) -> float:
+    """Return max(lambda_max(Q), lambda_max(R)) / c: the constant that the lemma says exists."""
+    return float(max(np.linalg.eigvalsh(Q)[-1], np.linalg.eigvalsh(R)[-1]) / c)
+
+
+def draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array, Array, Array]:
+    """Draw maps that cannot steer everything, weights Q, R, Q_N and a state."""
+    n, q = int(rng.integers(2, 4)), int(rng.integers(1, 3))
+    maps = random_maps(rng, n, q, int(rng.integers(n, 6)))
+    unsteered = float(rng.choice([0.0, 1e-3, 1.0]))
+    maps = PredictorMaps(maps.A, maps.B * np.where(np.arange(n) == n - 1, unsteered, 1.0)[:, None])
+    return maps, random_weight(rng, n), random_weight(rng, q), random_weight(rng, n), rng.normal(size=n)
+
+
+def ratio(
+    maps: PredictorMaps, Q: Array, R: Array, QN: Array, x: Array, epsilon: float, gamma_factor: float
+) -> tuple[float, float]:
+    """Return (x_N'Q_N x_N - V2) / (epsilon rho) for Gamma = gamma_factor * size of V2's solution, and its rounding.
+
+    Parameters
+    ----------
+    maps : PredictorMaps
+    Q, R, QN : array
+    x : array, shape (n,)
+    epsilon : float
+    gamma_factor : float
+        1 makes Gamma as small as the lemma allows for c = 1.
+
+    Returns
+    -------
+    float, float
+        The lemma says that the first is at most 1.
+    """
+    best = solve(V2(maps, QN, maps.horizon), x)
+    gamma = gamma_factor * size_of(best)
+    end = solve(V1(maps, Q, R, QN, gamma / epsilon, maps.horizon), x).x[-1]
+    reached, least = float(end @ QN @ end), float(best.value)
+    return (reached - least) / (epsilon * rho(Q, R, 1.0)), 1e-13 * reached / (epsilon * rho(Q, R, 1.0))
+
+
+def check_bound(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
+    """Find by how much (12) is exceeded with the explicit rho, over epsilon from 1e-10 to 1e3.
+
+    Parameters
+    ----------
+    effort : Effort
+    gamma_factor : float
+        Below 1, Gamma is smaller than the lemma asks for.
+    """
+    rng, excess = effort.rng("lemma-3"), []
+    for _ in range(effort.cases):
+        case = draw(rng)
+        for epsilon in 10.0 ** rng.uniform(-10, 3, 4):
+            found, rounding = ratio(*case, epsilon, gamma_factor)
+            excess.append(found - 1 - rounding)
+    return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding; that of x_N is taken off at small epsilon")
+
+
+def check_step(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
+    """Check the inequality behind (39): V1 costs no more than V2's solution does, and that is bounded by rho Gamma.
+
+    Parameters
+    ----------
+    effort : Effort
+    gamma_factor : float
+        Below 1, Gamma is smaller than the lemma asks for.
+    """
+    rng, excess = effort.rng("eq-39"), []
+    for _ in range(effort.cases):
+        maps, Q, R, QN, x = draw(rng)
+        best = solve(V2(maps, QN, maps.horizon), x)
+        gamma = gamma_factor * size_of(best)
+        problem = V1(maps, Q, R, QN, gamma / 10.0 ** rng.uniform(-4, 2), maps.horizon)
+        at_best = float(Plan(problem, best.u, best.x).value)
+        stages = float(
+            np.einsum("ia,ab,ib->", best.x[:-1], Q, best.x[:-1]) + np.einsum("ia,ab,ib->", best.u, R, best.u)
+        )
+        excess.append(float(solve(problem, x).value) / at_best - 1)
+        excess.append(stages / (rho(Q, R, 1.0) * gamma) - 1)
+    return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding of sums of squares")
+
+
+def scalar_case(a: float) -> tuple[PredictorMaps, Array, Array, Array, Array]:
+    """Return x+ = a x + u with N = 1 and weights one, where a quarter of rho is nearly reached if a is large.
+
+    There x_N'Q_N x_N - V2 = eps rho * s a^2 / ((1 + s)^2 (1 + a^2)) with the terminal weight s = Gamma/eps.
+    """
+    one = np.eye(1)
+    return PredictorMaps(np.array([[[1.0]], [[a]]]), np.ones((1, 1, 1))), one, one, one, np.ones(1)
+
+
+def check_quarter(effort: Effort, share: float = 0.25) -> Evidence:
+    """Find by how much the excess of (12) passes that share of eps rho, over random maps and the scalar case.
+
+    Parameters
+    ----------
+    effort : Effort
+    share : float
+        A quarter; no smaller constant will do.
+    """
+    rng, excess = effort.rng("lemma-3.quarter"), []
+    for _ in range(effort.cases):
+        for case in (draw(rng), scalar_case(100.0)):
+            best = size_of(solve(V2(case[0], case[3], case[0].horizon), case[4]))
+            # Most is left where the terminal term weighs about as much as the stages.
+            for epsilon in best * 10.0 ** rng.uniform(-2, 2, 2):
+                found, rounding = ratio(*case, epsilon, 1.0)
+                excess.append(found - share - rounding)
+        best = size_of(solve(V2(case[0], case[3], 1), case[4]))
+        excess.append(ratio(*case, best, 1.0)[0] - share)
+    return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding; that of x_N is taken off at small epsilon")
+
+
+def sharpness(effort: Effort) -> float:
+    """Return the largest ratio (x_N'Q_N x_N - V2) / (epsilon rho) seen over random maps and a grid of epsilon."""
+    rng = effort.rng("lemma-3.sharp")
+    cases = [draw(rng) for _ in range(effort.cases)]
+    return max(ratio(*case, epsilon, 1.0)[0] for case in cases for epsilon in 10.0 ** np.linspace(-3, 3, 13))
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    _claim(
+        "lemma-3",
+        "Lemma 3",
+        "lem1a",
+        "A plan of V1 ends with x_N'Q_N x_N <= V2 + eps rho; rho = max(lambda_max(Q), lambda_max(R)) / c will do.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_bound,
+        control=Control("Gamma a thousand times too small", lambda effort: check_bound(effort, 1e-3)),
+    ),
+    _claim(
+        "lemma-3.quarter",
+        "Lemma 3",
+        "lem1a",
+        "A quarter of that rho will do, max(lambda_max(Q), lambda_max(R)) / (4c), and no smaller constant.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_quarter,
+        control=Control("a constant smaller by 1 in 25", lambda effort: check_quarter(effort, 0.24)),
+    ),
+    _claim(
+        "eq-12",
+        "Equation 12",
+        "feasible",
+        "The bound of Lemma 3, over eps from 1e-10 to 1e3.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_bound,
+        control=Control("Gamma a thousand times too small", lambda effort: check_bound(effort, 1e-3)),
+    ),
+    _claim(
+        "eq-39",
+        "Equation 39",
+        "contra1",
+        "V1 costs at most what V2's solution does, whose stages cost at most rho Gamma.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_step,
+        control=Control("Gamma a thousand times too small", lambda effort: check_step(effort, 1e-3)),
+    ),
+)

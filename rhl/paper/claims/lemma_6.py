@@ -1,0 +1,429 @@
+"""Lemma 6 and Remark 4: stacked data of a stabilizable, detectable plant obey a stabilizable signal model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.paper.claims.kalman import KalmanForm, kalman_form, run_open_loop, stacked
+from rhl.plants import LinearPlant
+from rhl.plants.analysis import (
+    inputs_to_stack,
+    observability,
+    observability_index,
+    pbh,
+    signal_model,
+    spectral_radius,
+)
+
+_PAGE = "notebooks/12-lemma-6.ipynb"
+_TEST = "tests/paper/claims/test_lemma_6.py"
+
+# Data of unit size pass through O and its pseudo-inverse, whose condition the construction keeps below 1e4.
+_DATA = 1e-9
+# A PBH matrix of entries near one counts as of full rank above this; the controls lie at 1e-12 and below.
+_RANK = 1e-8
+
+
+def transition_misfits(model: SignalModel, y: Array, v: Array, m: int) -> Array:
+    """Return |x(k+1) - A x(k) - B u(k)|, relative to |x(k+1)| and one, for k = 0, 1, ..., equation (18)."""
+    x, u = stacked(y, m), stacked(v, m)
+    gap = x[1:] - x[:-1] @ model.A.T - u[:-1] @ model.B.T
+    return np.asarray(np.linalg.norm(gap, axis=1) / (1 + np.linalg.norm(x[1:], axis=1)))
+
+
+def _draw(rng: np.random.Generator, hidden_radius: float = 0.8) -> tuple[KalmanForm, LinearPlant]:
+    p, q = (int(size) for size in rng.integers(1, 4, 2))
+    sizes = (int(rng.integers(1, 4)), int(rng.integers(0, 3)), int(rng.integers(0, 3)))
+    form = kalman_form(rng, p, q, sizes, hidden_radius)
+    T = np.linalg.qr(rng.normal(size=form.F.shape))[0]
+    return form, form.plant(T)
+
+
+def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) -> Evidence:
+    """(18) on data of random plants with uncontrollable and unobservable modes, in unknown coordinates.
+
+    Parameters
+    ----------
+    effort : Effort
+    first : int, optional
+        First k that is looked at; m - 1, from where the stacks are full of measurements, where omitted.
+    detune : float
+        Make the pair (55) of a plant whose input matrix is larger by that share.
+    """
+    rng = effort.rng("lemma-6.data")
+    misfits = []
+    for _ in range(effort.cases):
+        form, plant = _draw(rng)
+        F, G, H = form.observable
+        m = form.F.shape[0] + int(rng.integers(0, 2))
+        v = rng.normal(size=(m + 12, plant.q))
+        y = run_open_loop(plant, rng.normal(size=plant.n), v)
+        model = signal_model(F, (1 + detune) * G, H, m)
+        misfits.append(float(np.max(transition_misfits(model, y, v, m)[m - 1 if first is None else first :])))
+    return Evidence(len(misfits), worst_of(misfits), _DATA, "rounding through O and its pseudo-inverse")
+
+
+def check_index(effort: Effort, shorten: int = 0) -> Evidence:
+    """(18) with m equal to the observability index of (53), which may be far below n."""
+    rng = effort.rng("lemma-6.index")
+    misfits = []
+    for _ in range(effort.cases):
+        form = kalman_form(rng, 2, 1, (4, 0, 2))
+        F, G, H = form.observable
+        m = observability_index(F, H) - shorten
+        v = rng.normal(size=(m + 12, 1))
+        y = run_open_loop(form.plant(np.eye(6)), rng.normal(size=6), v)
+        misfits.append(float(np.max(transition_misfits(signal_model(F, G, H, m), y, v, m)[m - 1 :])))
+    return Evidence(len(misfits), worst_of(misfits), _DATA, "rounding through O and its pseudo-inverse")
+
+
+def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = False) -> Evidence:
+    """PBH test of the pair (55), lifted or augmented: how far below the threshold its smallest singular value falls.
+
+    Parameters
+    ----------
+    effort : Effort
+    augmented : bool
+        Test Remark 4's augmented pair.
+    deaf : bool
+        Cut the inputs off the unstable block, so that the plant is not stabilizable.
+    """
+    rng = effort.rng("lemma-6.stabilizable")
+    short = []
+    for _ in range(effort.cases):
+        form, _ = _draw(rng)
+        if deaf:
+            form = replace(form, G=np.where(np.arange(len(form.G))[:, None] < form.sizes[0], 0.0, form.G))
+        F, G, H = form.observable
+        m = form.F.shape[0]
+        model = signal_model(F, G, H, m)
+        model = DelayLifting(m, m).augment(model) if augmented else model
+        short.append(_RANK - pbh(model.A, model.B, least_modulus=1.0 - 1e-9))
+    return Evidence(len(short), worst_of(short), 0.0, f"full rank means a smallest singular value above {_RANK:g}")
+
+
+def check_feedback_step(effort: Effort, as_printed: bool) -> Evidence:
+    """Under v = K_s z_s, the proof's w(k) moves by F_s + G_s K_s.
+
+    Parameters
+    ----------
+    effort : Effort
+    as_printed : bool
+        Take w(k) = O' x(k), as printed, instead of O^+ (x(k) - R u(k-1)).
+    """
+    rng = effort.rng("lemma-6.proof")
+    gaps = []
+    for _ in range(effort.cases):
+        F, G, H = kalman_form(rng, 2, 1, (2, 1, 0)).observable
+        K, m = rng.normal(size=(1, 3)), 3
+        z = [rng.normal(size=3)]
+        for _ in range(8):
+            z.append(F @ z[-1] + G @ (K @ z[-1]))
+        states = np.array(z[:-1])
+        x, u = stacked(states @ H.T, m), stacked(states @ K.T, m)
+        O, R = observability(F, H, m), inputs_to_stack(F, G, H, m)
+        w = x[m:] @ O if as_printed else (x[m:] - u[m - 1 : -1] @ R.T) @ np.linalg.pinv(O).T
+        step = w[:-1] @ (F + G @ K).T
+        gaps.append(float(np.max(np.abs(w[1:] - step)) / (1 + np.max(np.abs(w)))))
+    return Evidence(len(gaps), worst_of(gaps), _DATA, "rounding through O and its pseudo-inverse")
+
+
+def check_converse(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
+    """Under a stabilizing feedback of z_s the stacks go to zero, and the whole state z with them."""
+    rng = effort.rng("lemma-6.converse")
+    left = []
+    for _ in range(max(1, effort.cases // 4)):
+        form = kalman_form(rng, 1, 2, (2, 1, 1), hidden_radius)
+        F, G, _ = form.observable
+        K = _stabilizing(F, G)
+        z = rng.normal(size=4)
+        for _ in range(400):
+            z = form.F @ z - form.G @ (K @ z[:3])
+        left.append(float(np.max(np.abs(z))))
+    return Evidence(len(left), worst_of(left), 1e-6, "0.9^400 times what a non-normal transient adds")
+
+
+def _stabilizing(F: Array, G: Array) -> Array:
+    from scipy.linalg import solve_discrete_are  # here, because it takes a while to load
+
+    P = solve_discrete_are(F, G, np.eye(len(F)), np.eye(G.shape[1]))
+    return np.asarray(np.linalg.solve(np.eye(G.shape[1]) + G.T @ P @ G, G.T @ P @ F))
+
+
+def check_kalman(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
+    """Recover the blocks of (52) from a plant in hidden coordinates, by invariant subspaces.
+
+    The unobservable subspace, and within its complement the controllable part, are found from the plant alone; in their
+    coordinates the blocks that (52) has as zero must be zero, and F_3, F_6 must be stable.
+
+    Parameters
+    ----------
+    effort : Effort
+    hidden_radius : float
+        Spectral radius of the unobservable block.
+    """
+    rng = effort.rng("eq-52")
+    faults = []
+    for _ in range(effort.cases):
+        form = kalman_form(rng, 2, 1, (2, 1, 1), hidden_radius)
+        plant = form.plant(np.linalg.qr(rng.normal(size=(4, 4)))[0])
+        right = np.linalg.svd(observability(plant.F, plant.H, 4))[2]
+        seen, unseen = right[:3], right[3:]  # rows: orthonormal bases of the observable part and its complement
+        Fs, Gs = seen @ plant.F @ seen.T, seen @ plant.G
+        left = np.linalg.svd(np.concatenate([np.linalg.matrix_power(Fs, i) @ Gs for i in range(3)], axis=1))[0]
+        deaf = left[:, 2:]
+        zeros = [seen @ plant.F @ unseen.T, plant.H @ unseen.T, deaf.T @ Fs @ left[:, :2], deaf.T @ Gs]
+        largest = max(float(np.max(np.abs(block))) for block in zeros)
+        growth = max(spectral_radius(deaf.T @ Fs @ deaf), spectral_radius(unseen @ plant.F @ unseen.T)) - 1
+        faults.append(max(largest, growth))
+    return Evidence(len(faults), worst_of(faults), _DATA, "rounding through subspaces of condition up to 1e3")
+
+
+def check_subsystem(effort: Effort, leak: float = 0.0) -> Evidence:
+    """Compare the outputs of (52) with those of (53): the block z_3 is never seen.
+
+    Parameters
+    ----------
+    effort : Effort
+    leak : float
+        Let z_3 into the output with this gain.
+    """
+    rng = effort.rng("eq-53")
+    gaps = []
+    for _ in range(effort.cases):
+        form = kalman_form(rng, 2, 1, (2, 1, 2))
+        F, G, H = form.observable
+        H_leaky = form.H + leak * np.array([0, 0, 0, 1, 1])
+        v, z = rng.normal(size=(15, 1)), rng.normal(size=5)
+        whole = run_open_loop(LinearPlant(form.F, form.G, H_leaky), z, v)
+        part = run_open_loop(LinearPlant(F, G, H), z[:3], v)
+        gaps.append(float(np.max(np.abs(whole - part)) / (1 + np.max(np.abs(whole)))))
+    return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of fifteen steps")
+
+
+def check_stack(effort: Effort, shift: int = 0) -> Evidence:
+    """x(k) = O z_s(k-m+1) + R u(k-1), equation (54), along random runs.
+
+    Parameters
+    ----------
+    effort : Effort
+    shift : int
+        Take the state that many steps later than (54) says.
+    """
+    rng = effort.rng("eq-54")
+    gaps = []
+    for _ in range(effort.cases):
+        form = kalman_form(rng, 2, 2, (2, 1, 0))
+        F, G, H = form.observable
+        m = 4
+        v = rng.normal(size=(12, 2))
+        z = [rng.normal(size=3)]
+        for row in v:
+            z.append(F @ z[-1] + G @ row)
+        x, u = stacked(np.array(z[:-1]) @ H.T, m), stacked(v, m)
+        O, R = observability(F, H, m), inputs_to_stack(F, G, H, m)
+        for k in range(m, 12):
+            right = O @ z[k - m + 1 + shift] + R @ u[k - 1]
+            gaps.append(float(np.max(np.abs(x[k] - right)) / (1 + np.max(np.abs(right)))))
+    return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of a dozen steps")
+
+
+def check_chain(effort: Effort, offset: int) -> Evidence:
+    """Run the chain zeta_1+ = zeta_2, ..., zeta_{m-1}+ = v(k) of Remark 4 and see what zeta_1(k) is.
+
+    Parameters
+    ----------
+    effort : Effort
+    offset : int
+        Compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 as is right.
+    """
+    rng = effort.rng("remark-4.chain")
+    gaps = []
+    for _ in range(effort.cases):
+        m = int(rng.integers(2, 7))
+        v = rng.normal(size=20)
+        chain = np.zeros(m - 1)
+        for k in range(20):
+            if k - m + offset >= 0:
+                gaps.append(abs(float(chain[0] - v[k - m + offset])))
+            chain = np.append(chain[1:], v[k])
+    return Evidence(len(gaps), worst_of(gaps), 0.0, "only copies are made")
+
+
+def check_augmented(effort: Effort, depth: int = 0) -> Evidence:
+    """Remark 4: mp + (m-1)q states, driven by v(k) alone, give the same x(k) as the lifted pair driven by u(k).
+
+    Parameters
+    ----------
+    effort : Effort
+    depth : int
+        Carry that many past inputs fewer.
+    """
+    rng = effort.rng("remark-4")
+    gaps = []
+    for _ in range(effort.cases):
+        p, q, m = (int(size) for size in rng.integers((1, 1, 2), (4, 4, 5)))
+        model = SignalModel(rng.normal(size=(m * p, m * p)) / m, rng.normal(size=(m * p, m * q)))
+        kept = SignalModel(model.A, model.B[:, : (m - depth) * q])
+        augmented = DelayLifting(m, m - depth).augment(kept)
+        wanted = m * p + (m - 1 - depth) * q
+        v = rng.normal(size=(10, q))
+        x, X = np.zeros(m * p), np.zeros(wanted)
+        for row, u in zip(v, stacked(v, m), strict=True):
+            x, X = model.A @ x + model.B @ u, augmented.A @ X + augmented.B @ row
+            gaps.append(float(np.max(np.abs(x - X[: m * p])) / (1 + np.max(np.abs(x)))))
+    return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of ten steps")
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+_ZERO_HISTORY = (
+    "With signals set to zero before k = 0, as the paper does, the first m - 1 transitions are no transitions of the "
+    "plant; (18) holds from k = m - 1 on, once the stacks are full of measurements."
+)
+
+CLAIMS: tuple[Claim, ...] = (
+    _claim(
+        "lemma-6",
+        "Lemma 6",
+        "finalstep",
+        "The stacks of the last m outputs and inputs of a stabilizable and detectable plant obey x+ = Ax + Bu.",
+        method="numerical sampling",
+        recorded="holds-corrected",
+        stated=lambda effort: check_data(effort, first=0),
+        corrected=check_data,
+        control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
+        reason=_ZERO_HISTORY,
+    ),
+    _claim(
+        "lemma-6.index",
+        "Lemma 6",
+        "finalstep",
+        "m need not reach n: the observability index of the observable part is enough.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_index,
+        control=Control("one stacked output fewer than that index", lambda effort: check_index(effort, 1)),
+    ),
+    _claim(
+        "lemma-6.stabilizable",
+        "Lemma 6",
+        "finalstep",
+        "The pair (A, B) of equation (55) is stabilizable.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_stabilizable,
+        control=Control(
+            "an unstable block that no input reaches", lambda effort: check_stabilizable(effort, deaf=True)
+        ),
+    ),
+    _claim(
+        "lemma-6.proof",
+        "Lemma 6",
+        "finalstep",
+        "Under a feedback of z_s, the vector w(k) of the proof moves by F_s + G_s K_s.",
+        method="numerical sampling",
+        recorded="holds-corrected",
+        stated=lambda effort: check_feedback_step(effort, as_printed=True),
+        corrected=lambda effort: check_feedback_step(effort, as_printed=False),
+        control=Control("w(k) as printed", lambda effort: check_feedback_step(effort, as_printed=True)),
+        reason="w_k = O'x_k mixes in past inputs; what moves so is O^+ (x(k) - R u(k-1)), which is z_s(k-m+1).",
+    ),
+    _claim(
+        "lemma-6.converse",
+        "Lemma 6",
+        "finalstep",
+        "If the stacks go to zero, so do outputs and inputs, and with them the whole state.",
+        method="simulation",
+        recorded="holds",
+        stated=check_converse,
+        control=Control("an unobservable block that is unstable", lambda effort: check_converse(effort, 1.05)),
+    ),
+    _claim(
+        "remark-4",
+        "Remark 4",
+        "intchain",
+        "Carrying m - 1 past inputs as states gives a model of size mp + (m-1)q whose only input is v(k).",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_augmented,
+        control=Control("a chain that is one input too short", lambda effort: check_augmented(effort, depth=1)),
+    ),
+    _claim(
+        "remark-4.chain",
+        "Remark 4",
+        "intchain",
+        "The chain's first state zeta_1(k) is the oldest input that it carries.",
+        method="exact arithmetic",
+        recorded="holds-corrected",
+        stated=lambda effort: check_chain(effort, 0),
+        corrected=lambda effort: check_chain(effort, 1),
+        control=Control("the chain read one step too early", lambda effort: check_chain(effort, 2)),
+        reason="zeta_{m-2}+ = zeta_m should read zeta_{m-2}+ = zeta_{m-1}, and then zeta_1(k) is v(k-m+1), not v(k-m); "
+        "the appendix uses m states, for which v(k-m) is right, but one more than needed.",
+    ),
+    _claim(
+        "remark-4.stabilizable",
+        "Remark 4",
+        "intchain",
+        "Augmenting the pair of equation (55) keeps it stabilizable.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=lambda effort: check_stabilizable(effort, augmented=True),
+        control=Control(
+            "an unstable block that no input reaches",
+            lambda effort: check_stabilizable(effort, augmented=True, deaf=True),
+        ),
+    ),
+    _claim(
+        "eq-52",
+        "Equation 52",
+        "kalman",
+        "A stabilizable and detectable plant has, in suitable coordinates, this block form with F_3, F_6 stable.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_kalman,
+        control=Control("an undetectable plant", lambda effort: check_kalman(effort, hidden_radius=1.05)),
+    ),
+    _claim(
+        "eq-53",
+        "Equation 53",
+        "subsys",
+        "The unobservable block is never seen: the outputs are those of the observable subsystem.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_subsystem,
+        control=Control(
+            "a leak of one percent from the block into the output", lambda effort: check_subsystem(effort, 0.01)
+        ),
+    ),
+    _claim(
+        "eq-54",
+        "Equation 54",
+        "stack",
+        "The stack of outputs is O z_s(k-m+1) + R u(k-1).",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_stack,
+        control=Control("the state one step later", lambda effort: check_stack(effort, 1)),
+    ),
+    _claim(
+        "eq-55",
+        "Equation 55",
+        "hsm",
+        "Eliminating z_s gives x(k+1) = A x(k) + B u(k) with A = O F_s O^+.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_data,
+        control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
+    ),
+)

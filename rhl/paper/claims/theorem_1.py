@@ -1,0 +1,358 @@
+"""Theorem 1: receding horizon control with a terminal weight that grows for any fixed state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.horizon import V1, V2, V3, solve
+from rhl.model import SignalModel
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.paper.claims.lemma_1 import random_maps, random_weight
+
+_PAGE = "notebooks/08-theorem-1.ipynb"
+_TEST = "tests/paper/claims/test_theorem_1.py"
+_STEPS = 600
+# The weight that holds an unstable mode fixes |x|^2 / eps; over the run eps falls to a millionth.
+_SETTLED = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed loop of V1 and x+ = Ax + Bu, many systems at once.
+
+    Attributes
+    ----------
+    x : array, shape (steps + 1, systems, n)
+    u : array, shape (steps, systems, q)
+    r : array, shape (steps, systems, n)
+        The planned terminal states x_N(k).
+    best : array, shape (steps, systems)
+        V2(x(k)), the least terminal value that can be planned.
+    """
+
+    x: Array
+    u: Array
+    r: Array
+    best: Array
+
+
+def close(
+    model: SignalModel, x0: Array, epsilon: Callable[[int], float], steps: int = _STEPS, horizon: int | None = None
+) -> Loop:
+    """Close the loop of V1 and the system that its predictor is, equations (2) to (4), with Gamma = x'x.
+
+    Parameters
+    ----------
+    model : SignalModel
+        Batch of systems; also the predictor.
+    x0 : array, shape (systems, n)
+    epsilon : callable
+        k -> epsilon(k).
+    steps : int
+    horizon : int, optional
+        N; the order n where omitted, the least that Assumption 3 allows.
+
+    Returns
+    -------
+    Loop
+        With Q = Q_N = I and R = 100 I, the same for every system.
+    """
+    N = model.n if horizon is None else horizon
+    x, states, inputs, ends, best = x0, [x0], [], [], []
+    for k in range(steps):
+        weight = np.sum(x**2, axis=-1) / epsilon(k)
+        plan = solve(V1(model, 1.0, 100.0, 1.0, weight, N), x)
+        if k % 50 == 0:
+            best.append(solve(V2(model, 1.0, N), x).value)
+        x = model.step(x, plan.u[..., 0, :])
+        states.append(x)
+        inputs.append(plan.u[..., 0, :])
+        ends.append(plan.x[..., -1, :])
+    return Loop(np.stack(states), np.stack(inputs), np.stack(ends), np.stack(best))
+
+
+def systems(rng: np.random.Generator, count: int, radius: float = 1.3) -> tuple[SignalModel, Array]:
+    """Draw stabilizable systems of order 3: a controllable block of that radius and a stable mode out of reach."""
+    A, B = np.zeros((count, 3, 3)), np.zeros((count, 3, 1))
+    for i in range(count):
+        block = rng.normal(size=(2, 2))
+        A[i, :2, :2] = block * radius / np.max(np.abs(np.linalg.eigvals(block)))
+        A[i, :2, 2] = rng.normal(size=2)
+        A[i, 2, 2] = rng.uniform(0.3, 0.9)
+        B[i, :2, 0] = rng.normal(size=2)
+    x0 = rng.normal(size=(count, 3))
+    return SignalModel(A, B), x0 / np.linalg.norm(x0, axis=1, keepdims=True)
+
+
+def falling(k: int) -> float:
+    """Return epsilon(k) = exp(-k / 30), which falls to 2e-9 over a run."""
+    return float(np.exp(-k / 30))
+
+
+def well_conditioned(model: SignalModel) -> Array:
+    """Say which systems' controllable blocks are well so; the others peak too high for float64 to return from."""
+    A, B = model.A[:, :2, :2], model.B[:, :2]
+    return np.asarray(np.linalg.cond(np.concatenate([B, A @ B], axis=-1)) < 20)
+
+
+def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = falling) -> Evidence:
+    """Run the loop on random stabilizable systems and see how far it has come down from its peak.
+
+    Parameters
+    ----------
+    effort : Effort
+    of : {"x", "r"}
+        Look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to vanish.
+    epsilon : callable
+        The schedule.
+    """
+    model, x0 = systems(effort.rng("theorem-1"), 3 * effort.cases)
+    chosen = np.flatnonzero(well_conditioned(model))[: effort.cases]
+    loop = close(SignalModel(model.A[chosen], model.B[chosen]), x0[chosen], epsilon)
+    size = np.linalg.norm(loop.x if of == "x" else loop.r, axis=-1)
+    return Evidence(len(chosen), float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes")
+
+
+def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
+    """Compare V1's solution with V3's for r = x_N, equation (40).
+
+    Parameters
+    ----------
+    effort : Effort
+    shift : float
+        Move r by that much.
+    """
+    rng, gaps = effort.rng("eq-40"), []
+    for _ in range(effort.cases):
+        n, q = (int(size) for size in rng.integers(1, 4, 2))
+        maps = random_maps(rng, n, q, n + 2)
+        Q, R, QN, x = random_weight(rng, n), random_weight(rng, q), random_weight(rng, n), rng.normal(size=n)
+        one = solve(V1(maps, Q, R, QN, 10.0 ** rng.uniform(-3, 6), n + 2), x)
+        other = solve(V3(maps, Q, R, one.x[-1] + shift, n + 2), x)
+        gaps.append(float(np.max(np.abs(one.u - other.u)) / (1 + np.max(np.abs(one.u)))))
+    return Evidence(len(gaps), worst_of(gaps), 1e-9, "rounding through well conditioned terminal maps")
+
+
+@dataclass(frozen=True, eq=False)
+class Changing:
+    """A closed loop of V1 with N = 1 and x+ = a x + u, whose predictor a x + b(k) u changes; many systems at once.
+
+    Attributes
+    ----------
+    x : array, shape (steps + 1, systems)
+    plan_gain : array, shape (steps, systems)
+        Largest gain of V1's plan, which Assumption 5(b) wants bounded.
+    error : array, shape (steps, systems)
+        |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
+    least : array, shape (steps, systems)
+        V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
+    least_gain : array, shape (steps, systems)
+        Gain of V2's least-norm solution, on which Assumption 5 says nothing.
+    """
+
+    x: Array
+    plan_gain: Array
+    error: Array
+    least: Array
+    least_gain: Array
+
+
+def vanishing(k: int, a: Array) -> Array:
+    """Return b(k) = eps(k) a^-2k / (k+1), so small that the weight never makes up for it."""
+    return np.asarray(quick(k) * a ** (-2.0 * k) / (k + 1))
+
+
+def settling(k: int, a: Array) -> Array:
+    """Return b(k) = 1 - 0.9^k / 2, which tends to the true 1."""
+    return np.full_like(a, 1 - 0.9**k / 2)
+
+
+def quick(k: int) -> float:
+    """Return epsilon(k) = exp(-k / 10)."""
+    return float(np.exp(-k / 10))
+
+
+def change(
+    a: Array,
+    x0: Array,
+    b: Callable[[int, Array], Array],
+    epsilon: Callable[[int], float] = quick,
+    steps: int = 150,
+) -> Changing:
+    """Close the loop of V1, N = 1 and all weights one, with x+ = a x + u and the changing predictor a x + b(k) u.
+
+    Parameters
+    ----------
+    a, x0 : array, shape (systems,)
+    b : callable
+        (k, a) -> b(k), shape (systems,).
+    epsilon : callable
+        k -> epsilon(k).
+    steps : int
+
+    Returns
+    -------
+    Changing
+        While x is not zero.
+    """
+    x, states, rows = np.asarray(x0, dtype=np.float64), [np.asarray(x0, dtype=np.float64)], []
+    for k in range(steps):
+        model = SignalModel(a[:, None, None], b(k, a)[:, None, None])
+        plan = solve(V1(model, 1.0, 1.0, 1.0, x**2 / epsilon(k), 1), x[:, None])
+        least = solve(V2(model, 1.0, 1), x[:, None])
+        u, scale = plan.u[:, 0, 0], np.abs(x)
+        gain = np.maximum(np.abs(u), np.max(np.abs(plan.x[..., 0]), axis=-1)) / scale
+        rows.append((gain, np.abs((b(k, a) - 1) * u) / scale, least.value / x**2, np.abs(least.u[:, 0, 0]) / scale))
+        x = a * x + u
+        states.append(x)
+    return Changing(np.stack(states), *(np.stack(column) for column in zip(*rows, strict=True)))
+
+
+def check_changing(
+    effort: Effort, b: Callable[[int, Array], Array], epsilon: Callable[[int], float] = quick
+) -> Evidence:
+    """Run unstable scalar systems whose predictor changes with k, and see how far the state has come down.
+
+    Parameters
+    ----------
+    effort : Effort
+    b : callable
+        The predictor's input gain, ``vanishing`` or ``settling``.
+    epsilon : callable
+        The schedule.
+    """
+    rng = effort.rng("theorem-1.changing")
+    a, x0 = rng.uniform(1.1, 1.5, effort.cases), rng.uniform(0.1, 1.0, effort.cases)
+    run = change(a, x0, b, epsilon)
+    size = np.abs(run.x)
+    # The last rows show whether (8), 5(b) and V2 -> 0 hold; a run that breaks them would refute nothing.
+    if not (np.all(run.plan_gain <= np.maximum(1.0, a) + 1e-9) and np.all(run.error[-1] <= a / 20)):
+        return Evidence(effort.cases, 0.0, _SETTLED, "a hypothesis does not hold on this run")
+    return Evidence(
+        effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes"
+    )
+
+
+def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (1 + 10 * k)) -> Evidence:
+    r"""Compare :math:`x(k)^2/\epsilon(k)` of unstable scalar loops with N = 1 with :math:`R(a-1)/Q_N`.
+
+    With N = 1 and Gamma = x^2 the closed loop is x(k+1) = a R x(k) / (R + Q_N x(k)^2 / epsilon(k)), whose factor is one
+    where the terminal weight is R (a - 1) / Q_N; below that the state grows, above it falls.
+
+    Parameters
+    ----------
+    effort : Effort
+    epsilon : callable
+        The schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
+    """
+    rng = effort.rng("theorem-1.pace")
+    a = rng.uniform(1.1, 2.0, effort.cases)
+    R, QN = 10.0 ** rng.uniform(-1, 1, (2, effort.cases, 1, 1))
+    model = SignalModel(a[:, None, None], np.ones((effort.cases, 1, 1)))
+    x = rng.uniform(0.1, 1.0, effort.cases)
+    for k in range(_STEPS):
+        plan = solve(V1(model, 1.0, R, QN, x**2 / epsilon(k), 1), x[:, None])
+        x = a * x + plan.u[:, 0, 0]
+    expected = R[:, 0, 0] * (a - 1) / QN[:, 0, 0]
+    gap = np.abs(x**2 / epsilon(_STEPS) / expected - 1)
+    return Evidence(effort.cases, float(np.max(gap)), 0.05, "epsilon still falls by a part in k at every step")
+
+
+def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
+    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
+
+
+def _given(id: str, item: str, label: str, statement: str, reason: str) -> Claim:
+    return _claim(id, item, label, statement, method="none", recorded="not-checkable", reason=reason)
+
+
+CLAIMS: tuple[Claim, ...] = (
+    _given("eq-2", "Equation 2", "sysmpc", "The system x+ = Ax + Bu.", "A definition."),
+    _given(
+        "eq-4",
+        "Equation 4",
+        "",
+        "The receding horizon policy applies the first input of the plan.",
+        "A definition; the library's loop follows it.",
+    ),
+    _given(
+        "assumption-3",
+        "Assumption 3",
+        "ass1a",
+        "N >= n; Q, R, Q_N and Gamma are positive definite.",
+        "A hypothesis; the library refuses weights that are not definite. With Remark 4, n is the augmented state's.",
+    ),
+    _claim(
+        "theorem-1",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "With V1, Gamma = alpha x'x and eps(k) -> 0, a stabilizable system that is its own predictor comes to rest.",
+        method="simulation",
+        recorded="observed",
+        by_observation=True,
+        stated=lambda effort: check_rest(effort, "x"),
+        control=Control("eps constant", lambda effort: check_rest(effort, "x", lambda k: 1.0)),
+    ),
+    _claim(
+        "theorem-1.ends",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "Along that loop the planned terminal states r(k) = x_N(k) go to zero.",
+        method="simulation",
+        recorded="observed",
+        by_observation=True,
+        stated=lambda effort: check_rest(effort, "r"),
+        control=Control("eps constant", lambda effort: check_rest(effort, "r", lambda k: 1.0)),
+    ),
+    _claim(
+        "theorem-1.pace",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "Where the horizon is too short to hold the system, the state goes to zero no faster than the root of eps(k).",
+        method="simulation",
+        recorded="observed",
+        by_observation=True,
+        stated=check_pace,
+        control=Control("eps falling by half at every step", lambda effort: check_pace(effort, lambda k: 0.5**k)),
+    ),
+    _claim(
+        "theorem-1.changing",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "The same with predictor maps that change with k, from Assumptions 2 to 4 and 5(b) alone.",
+        method="simulation",
+        recorded="refuted",
+        stated=lambda effort: check_changing(effort, vanishing),
+        control=Control("eps constant too", lambda effort: check_changing(effort, vanishing, lambda k: 1.0)),
+        reason="Step 2 of the proof uses that the gains of V2's least-norm solution are bounded over k; Assumption 5 "
+        "bounds other gains. For x+ = ax + u, a > 1, N = 1 and the predictor ax + b(k)u with "
+        "b(k) = eps(k) a^-2k / (k+1), 2 to 4 and 5(b) hold and x diverges from every x(0) but 0. With 5(a) along "
+        "V1's loop in the place of 5(b) both that bound and what Lemma 2 needs are there (see assumption-5.implies).",
+    ),
+    _claim(
+        "theorem-1.bounded",
+        "Theorem 1",
+        "MPC1vsMPC3",
+        "Scalar systems with N = 1 and a predictor that changes with k come to rest where V2's gains are bounded.",
+        method="simulation",
+        recorded="observed",
+        by_observation=True,
+        stated=lambda effort: check_changing(effort, settling),
+        control=Control("gains of V2 that grow", lambda effort: check_changing(effort, vanishing)),
+    ),
+    _claim(
+        "eq-40",
+        "Equation 40",
+        "mpc1a",
+        "V1's solution is V3's with r = x_N.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_same_problem,
+        control=Control("r moved by 1e-3", lambda effort: check_same_problem(effort, 1e-3)),
+    ),
+)

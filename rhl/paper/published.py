@@ -1,0 +1,306 @@
+"""The paper's figure data, the experiments that belong to them, and how closely the two agree."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from rhl._checks import Array, choice, instance, real_array
+from rhl.closed_loop import Step, replay
+from rhl.controllability import ConstantMixing
+from rhl.disturbances import Instrument
+from rhl.errors import InputError
+from rhl.estimator import ProximalEstimator
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+from rhl.plants import LinearPlant, Plant, RobotArm
+from rhl.schedules import HarmonicDecay
+from rhl.scheme import Controller, Scheme
+from rhl.simulation import Trace, simulate
+
+CURVES = {
+    "linear_y": "figure 2",
+    "linear_y_hat": "figure 2",
+    "linear_u": "figure 4",
+    "linear_x1": "figure 5",
+    "linear_gamma_over_eps": "figure 6",
+    "robot_x1": "figure 7",
+    "robot_x2": "figure 8",
+    "robot_x3": "figure 9",
+}
+
+
+def curve(name: str) -> Array:
+    """Return a published curve, sample by sample from k = 0.
+
+    Parameters
+    ----------
+    name : str
+        One of ``CURVES``.
+
+    Returns
+    -------
+    array, shape (samples,)
+
+    Notes
+    -----
+    Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
+
+    Examples
+    --------
+    >>> curve("linear_y").shape, float(curve("linear_y")[0])
+    ((41,), -9.9)
+    """
+    choice("name", name, tuple(CURVES))
+    with resources.files("rhl.paper").joinpath("data", f"{name}.csv").open(encoding="utf-8") as file:
+        table = np.loadtxt(file, delimiter=",", skiprows=1)
+    return real_array(name, table[:, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A plant, where it starts, the scheme that runs on it, and for how long.
+
+    Attributes
+    ----------
+    name : str
+    plant : Plant
+    z0 : array, shape (n,)
+    scheme : Scheme
+    steps : int
+        As many as the longest published curve has samples, in the paper's.
+    sensor, actuator : callable or None
+        What errs between scheme and plant, see ``rhl.disturbances``; nothing in the paper's.
+    applied_known : bool
+        Whether the scheme remembers what the actuator let through.
+    """
+
+    name: str
+    plant: Plant
+    z0: Array
+    scheme: Scheme
+    steps: int
+    sensor: Instrument | None = None
+    actuator: Instrument | None = None
+    applied_known: bool = True
+
+    def run(self, progress: Callable[[Step], None] | None = None) -> Trace:
+        """Simulate it; ``progress`` is called with each finished step."""
+        return simulate(
+            self.scheme,
+            self.plant,
+            self.z0,
+            self.steps,
+            progress,
+            sensor=self.sensor,
+            actuator=self.actuator,
+            applied_known=self.applied_known,
+        )
+
+
+def linear_example(*, printed: bool = False) -> Experiment:
+    """Return the linear example, equation (23), figures 2 to 6.
+
+    Parameters
+    ----------
+    printed : bool
+        False: the settings behind the published curves, eps(k) = 1/(1+100k). True: eps(k) = 1/(1+1000k), as the text
+        prints. What the text leaves open (initial model, one step of delay between estimate and control) is the same
+        in both.
+
+    Returns
+    -------
+    Experiment
+
+    Examples
+    --------
+    >>> trace = linear_example().run()
+    >>> bool(np.abs(trace.y[:14, 0] - curve("linear_y")[:14]).max() < 1e-9)
+    True
+    """
+    plant = LinearPlant(
+        F=np.array([[0, 1, 0.1], [0, 1.02, 0], [0, 0, 0.92]]), G=np.array([[0], [1], [0]]), H=np.array([[1, 0, 1]])
+    )
+    scheme = Scheme(
+        lifting=DelayLifting(outputs=4, inputs=4),
+        estimator=ProximalEstimator(window=8),
+        controller=Controller(
+            Q=100.0, R=10000.0, QN=100.0, horizon=20, epsilon=HarmonicDecay(1000 if printed else 100), model_delay=1
+        ),
+        initial_model=SignalModel.companion_of_ones(4, 4),
+    )
+    return Experiment("linear example", plant, np.array([0.1, 0.1, -10.0]), scheme, steps=42)
+
+
+def robot_arm(*, printed: bool = False) -> Experiment:
+    """Return the robot arm, equation (24), figures 7 to 9.
+
+    Parameters
+    ----------
+    printed : bool
+        False: the coefficients that the published curves obey. True: those in the text. The scheme is the same, with
+        the constant mixing lambda = 0.5 that the text does not mention.
+
+    Returns
+    -------
+    Experiment
+
+    Examples
+    --------
+    >>> trace = robot_arm().run()
+    >>> bool(np.abs(trace.z[:, 0] - curve("robot_x1")).max() < 1e-9)
+    True
+    """
+    scheme = Scheme(
+        lifting=DelayLifting(outputs=2, inputs=2),
+        estimator=ProximalEstimator(window=10),
+        controller=Controller(Q=10.0, R=100.0, QN=10.0, horizon=15, epsilon=HarmonicDecay(10), model_delay=1),
+        initial_model=SignalModel.companion_of_ones(6, 2, "eye-last-row-of-ones"),
+        mixing=ConstantMixing(0.5),
+    )
+    plant = RobotArm("printed" if printed else "data")
+    return Experiment("robot arm", plant, np.array([5.0, -5.0, 1.0]), scheme, steps=62)
+
+
+def fed_back(*, printed: bool = False) -> Trace:
+    """Run the linear example's scheme on the published outputs and inputs instead of on a plant.
+
+    Examples
+    --------
+    >>> bool(np.abs(fed_back().y_hat[:, 0] - curve("linear_y_hat")).max() < 1e-10)
+    True
+    """
+    scheme = linear_example(printed=printed).scheme
+    y, v = curve("linear_y"), curve("linear_u")
+    return Trace(scheme, tuple(replay(scheme, y[:, None], v[:, None])))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How far one signal is from its published curve over some samples.
+
+    Attributes
+    ----------
+    signal : str
+    samples : int
+        How many were compared.
+    largest : float
+        The largest absolute difference; relative for Gamma/eps.
+    at : int
+        The k where it is.
+    tolerance : float or None
+        What is asked; None where the difference is known, shown and unexplained.
+    """
+
+    signal: str
+    samples: int
+    largest: float
+    at: int
+    tolerance: float | None
+
+    @property
+    def verdict(self) -> str:
+        """Return "within", "missed" or "unexplained"."""
+        if self.tolerance is None:
+            return "unexplained"
+        return "within" if self.largest <= self.tolerance else "missed"
+
+
+# Published digits end at the 15th; the unstable pole and the estimator's transients enlarge what is missing.
+_FREE_RUN = 1e-9
+# Two digits above the three inputs of k = 12, 13, 14 that nobody has explained and what follows from them.
+_AFTER_THE_UNEXPLAINED = 0.11
+_FED_BACK = 1e-10
+_RELATIVE = 1e-12
+UNEXPLAINED = (12, 13, 14)
+
+
+def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
+    """Compare a free run of the linear example, and its scheme with published data fed back, with figures 2 to 6.
+
+    Examples
+    --------
+    >>> {row.verdict for row in compare_linear(linear_example().run())} == {"within", "unexplained"}
+    True
+    """
+    check_length(trace, 42, 3)
+    back = fed_back(printed=printed)
+    rows = []
+    for signal, found, name, last in (
+        ("y", trace.y[:, 0], "linear_y", 13),
+        ("y_hat", trace.y_hat[:, 0], "linear_y_hat", 12),
+        ("v", trace.v[:, 0], "linear_u", 11),
+        ("x1", trace.z[:, 0], "linear_x1", 13),
+    ):
+        gap = np.abs(found[: len(curve(name))] - curve(name))
+        rows.append(_largest(f"{signal}, k <= {last}", gap, np.arange(last + 1), _FREE_RUN))
+        rows.append(_largest(f"{signal}, k > {last}", gap, np.arange(last + 1, len(gap)), _AFTER_THE_UNEXPLAINED))
+    gap = np.abs(gamma_over_eps(printed=printed) / curve("linear_gamma_over_eps") - 1)
+    rows.append(_largest("Gamma/eps from published y, v", gap, np.arange(len(gap)), _RELATIVE))
+    gap = np.abs(back.y_hat[:, 0] - curve("linear_y_hat"))
+    rows.append(_largest("y_hat, published data fed back", gap, np.arange(len(gap)), _FED_BACK))
+    gap = np.abs(back.v[:, 0] - curve("linear_u"))
+    if printed:
+        rows.append(_largest("v, published data fed back", gap, np.arange(len(gap)), _FED_BACK))
+    else:
+        others = np.setdiff1d(np.arange(len(gap)), UNEXPLAINED)
+        rows.append(_largest("v, fed back, but k = 12, 13, 14", gap, others, _FED_BACK))
+        rows.append(_largest("v, fed back, k = 12, 13, 14", gap, np.array(UNEXPLAINED), None))
+    return rows
+
+
+def compare_robot(trace: Trace) -> list[Comparison]:
+    """Compare a free run of the robot arm with figures 7 to 9, all samples.
+
+    Examples
+    --------
+    >>> [row.verdict for row in compare_robot(robot_arm().run())]
+    ['within', 'within', 'within']
+    """
+    check_length(trace, 62, 3)
+    gaps = [np.abs(trace.z[:, i] - curve(f"robot_x{i + 1}")) for i in range(3)]
+    return [_largest(f"x{i + 1}", gap, np.arange(len(gap)), _FREE_RUN) for i, gap in enumerate(gaps)]
+
+
+def check_length(trace: Trace, steps: int, n: int) -> None:
+    """Refuse a trace that is no run of so many steps with so many states."""
+    instance("trace", trace, Trace)
+    if len(trace) != steps or trace.z.shape != (steps, n):
+        raise InputError(f"trace must be a run of {steps} steps with {n} states, got {len(trace)} steps")
+
+
+def gamma_over_eps(*, printed: bool = False) -> Array:
+    r"""Compute figure 6 from the published outputs and inputs.
+
+    The figure takes Gamma one input later than the controller does:
+    :math:`(|y(k)|^2 + \dots + |y(k-3)|^2 + |v(k)|^2 + |v(k-1)|^2 + |v(k-2)|^2) / \epsilon(k)`.
+
+    Parameters
+    ----------
+    printed : bool
+        Take the text's eps rate, 1000, instead of the data's, 100.
+
+    Returns
+    -------
+    array, shape (41,)
+
+    Examples
+    --------
+    >>> bool(np.abs(gamma_over_eps() / curve("linear_gamma_over_eps") - 1).max() < 1e-12)
+    True
+    """
+    y, v = curve("linear_y"), curve("linear_u")
+    epsilon = linear_example(printed=printed).scheme.controller.epsilon
+    squares = sum(np.concatenate([np.zeros(i), (s**2)[: len(s) - i]]) for s, n in ((y, 4), (v, 3)) for i in range(n))
+    return np.asarray(squares) / np.array([epsilon(k) for k in range(len(y))])
+
+
+def _largest(
+    signal: str, gap: Array, at: np.ndarray[tuple[int], np.dtype[np.int64]], tolerance: float | None
+) -> Comparison:
+    # NaN is larger than anything here, and argmax finds it first.
+    k = int(at[np.argmax(gap[at])])
+    return Comparison(signal, len(at), float(gap[k]), k, tolerance)

@@ -1,0 +1,139 @@
+"""Linear plants, also from python-control."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rhl._checks import Array, common_batch, real_array, square
+from rhl.errors import InputError
+from rhl.plants._realisation import how_to_discretise, realise
+from rhl.plants.base import check_lengths
+
+if TYPE_CHECKING:
+    import control
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    r"""The plant :math:`z(k+1) = F z(k) + G v(k),\; y(k) = H z(k)`, equation (1).
+
+    Parameters
+    ----------
+    F : array_like, shape (..., n, n)
+        State matrix.
+    G : array_like, shape (..., n, q)
+        Input matrix.
+    H : array_like, shape (..., p, n)
+        Output matrix.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit or an entry is not finite.
+
+    Notes
+    -----
+    Source: equation (1). The scheme assumes (F, G) stabilizable and (F, H) detectable (Assumption 1); this class
+    does not, so that readers can see what happens otherwise.
+    """
+
+    F: Array
+    G: Array
+    H: Array
+
+    def __post_init__(self) -> None:
+        F = square("F", self.F)
+        object.__setattr__(self, "F", F)
+        object.__setattr__(self, "G", real_array("G", self.G, (F.shape[-1], None)))
+        object.__setattr__(self, "H", real_array("H", self.H, (None, F.shape[-1])))
+        common_batch(F=(F, 2), G=(self.G, 2), H=(self.H, 2))
+
+    @classmethod
+    def from_control(cls, system: control.StateSpace | control.TransferFunction) -> LinearPlant:
+        r"""Take a discrete-time system without feedthrough from python-control.
+
+        A state space gives its own F, G, H. A transfer function is realised: each input by one companion form over the
+        common denominator of its column, which is controllable; what the outputs do not see of that is taken away, so
+        that no mode is hidden (an unstable pole that channels share would otherwise make the plant undetectable).
+
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            In discrete time (``dt`` positive or True), strictly proper (D = 0), with real numbers; any numbers of
+            inputs and outputs.
+
+        Returns
+        -------
+        LinearPlant
+            Of the state space's order, or of the transfer function's McMillan degree. Roots of a numerator and a
+            denominator that agree to ten digits or so count as cancelled.
+
+        Raises
+        ------
+        InputError
+            If the system is neither of the two, is in continuous time, has feedthrough, is improper, holds complex
+            numbers, or is zero.
+
+        Notes
+        -----
+        No slycot is needed.
+
+        Examples
+        --------
+        >>> import control
+        >>> plant = LinearPlant.from_control(control.tf([1.0], [1.0, -1.1], True))
+        >>> plant.F, plant.G, plant.H
+        (array([[1.1]]), array([[1.]]), array([[1.]]))
+        """
+        import control  # here, because it brings matplotlib along
+
+        if not isinstance(system, control.StateSpace | control.TransferFunction):
+            raise InputError(
+                f"system must be a control.StateSpace or a control.TransferFunction, got {type(system).__name__}; "
+                "a plant of another kind is an rhl.plants.FunctionPlant"
+            )
+        if not system.isdtime(strict=True):
+            raise InputError(how_to_discretise(system, isinstance(system, control.TransferFunction)))
+        if isinstance(system, control.TransferFunction):
+            with np.errstate(over="ignore", invalid="ignore"):
+                return cls(*realise(system))
+        if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
+            raise InputError(
+                "system must have real matrices, got complex ones; give the real system that they stand for"
+            )
+        if np.any(system.D):
+            q = system.ninputs
+            raise InputError(
+                "system must have D = 0 (y = H z, equation (1)), got a feedthrough; put one step of delay before it "
+                f"with system * control.ss(np.zeros(({q}, {q})), np.eye({q}), np.eye({q}), 0, system.dt)"
+            )
+        return cls(system.A, system.B, system.C)
+
+    @property
+    def n(self) -> int:
+        """Size of the state z."""
+        return int(self.F.shape[-1])
+
+    @property
+    def q(self) -> int:
+        """Size of the input v."""
+        return int(self.G.shape[-1])
+
+    @property
+    def p(self) -> int:
+        """Size of the output y."""
+        return int(self.H.shape[-2])
+
+    def step(self, z: Array, v: Array) -> Array:
+        """Return F z + G v, shape (..., n); InputError if z or v has another length."""
+        z, v = check_lengths(z=(z, self.n), v=(v, self.q))
+        common_batch(F=(self.F, 2), z=(z, 1), v=(v, 1))
+        return np.einsum("...ab,...b->...a", self.F, z) + np.einsum("...ab,...b->...a", self.G, v)
+
+    def output(self, z: Array) -> Array:
+        """Return H z, shape (..., p); InputError if z has another length."""
+        (z,) = check_lengths(z=(z, self.n))
+        return np.einsum("...ab,...b->...a", self.H, z)

@@ -1,0 +1,381 @@
+"""The command line: exit status, one sentence, no file left behind, rows kept."""
+
+import csv
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rhl.app import cli
+from rhl.app.config import schema
+from rhl.paper.published import Experiment, linear_example
+from tests.app.test_config import LINEAR
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Write a configuration, by default the linear example with replacements, and return its path."""
+
+    def write(*replacements, text=LINEAR):
+        for old, new in replacements:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "run.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def rows_of(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "found"),
+    [
+        (["linear"], 0, ["within", "unexplained"]),
+        (["robot"], 0, ["within"]),
+        (["linear", "--printed"], 1, ["missed", "as printed"]),
+        (["robot", "--printed"], 1, ["missed", "as printed"]),
+    ],
+)
+def test_reproduce(capsys, arguments, status, found):
+    assert cli.main(["reproduce", *arguments]) == status
+    out = capsys.readouterr().out
+    assert all(word in out for word in found)
+    assert ("missed" in out) == (status == 1)
+
+
+def test_reproduce_misses_when_the_library_is_wrong(capsys, monkeypatch):
+    right = cli.published.linear_example
+    monkeypatch.setattr(cli.published, "linear_example", lambda printed=False: right(printed=True))
+    assert cli.main(["reproduce", "linear"]) == cli.MISSED
+
+
+def test_reproduce_writes_its_run(tmp_path, capsys):
+    table, figure = tmp_path / "trace.csv", tmp_path / "fig.svg"
+    assert cli.main(["reproduce", "linear", "--output", str(table), "--plot", str(figure)]) == 0
+    assert len(rows_of(table)) == 42
+    assert figure.read_text(encoding="utf-8").rstrip().endswith("</svg>")
+
+
+def test_run_writes_every_row_to_the_last_digit(config, tmp_path):
+    table = tmp_path / "trace.csv"
+    assert cli.main(["run", str(config()), "--output", str(table), "--plot", str(tmp_path / "fig.png")]) == 0
+    rows, trace = rows_of(table), linear_example().run()
+    assert list(rows[0]) == ["k", "y1", "v1", "yhat1", "z1", "z2", "z3", "weight", "lambda"]
+    assert [row["k"] for row in rows] == [str(k) for k in range(42)]
+    assert np.array_equal([float(row["v1"]) for row in rows], trace.v[:, 0])
+    assert np.array_equal([float(row["weight"]) for row in rows], trace.weight)
+    assert (tmp_path / "fig.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("replacement", "sentence"),
+    [
+        (("horizon = 20", "horizon = 0"), "rhl: controller.horizon must be a whole number"),
+        (("mixing = 0.0", "mixing = 1.0"), "rhl: estimator.mixing must be"),
+        (("R = 10000.0", "R = -1.0"), "rhl: controller.R must be positive definite"),
+        (("H = [[1, 0, 1]]", "H = [[1, 0]]"), "rhl: plant.H must have shape"),
+        (("0.92", "oops"), "must be valid TOML"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_no_file(config, tmp_path, capsys, replacement, sentence):
+    table = tmp_path / "trace.csv"
+    assert cli.main(["run", str(config(replacement)), "--output", str(table)]) == cli.BAD_INPUT
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+    assert not table.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "the following arguments are required"),
+        (["reproduce", "line"], "invalid choice"),
+        (["run", "run.toml"], "the following arguments are required: --output"),
+        (["run", "missing.toml", "--output", "trace.csv"], "missing.toml must be a readable TOML file"),
+        (["reproduce", "linear", "--output", "no/such/folder/t.csv"], "must name a file in a folder that exists"),
+        (["reproduce", "linear", "--output", "."], "must name a file, got the folder"),
+        (["reproduce", "linear", "--plot", "fig.jpeg"], "--plot must end in .svg, .pdf or .png"),
+    ],
+)
+def test_bad_calls(tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == cli.BAD_INPUT
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_overflow_says_where_and_keeps_the_rows(config, tmp_path, capsys):
+    table = tmp_path / "trace.csv"
+    assert cli.main(["run", str(config(("1.02", "1e30"))), "--output", str(table)]) == cli.STOPPED
+    rows, message = rows_of(table), capsys.readouterr().err
+    assert 0 < len(rows) < 42
+    assert f"at k = {len(rows)}:" in message
+    assert message.count("\n") == 1
+    assert all(np.isfinite(float(entry)) for row in rows for entry in row.values())
+
+
+def test_overflow_at_the_first_step_leaves_the_heading(config, tmp_path, capsys):
+    table = tmp_path / "trace.csv"
+    assert cli.main(["run", str(config(("-10]", "1e200]"))), "--output", str(table)]) == cli.STOPPED
+    assert table.read_text(encoding="utf-8") == "k,y1,v1,yhat1,z1,z2,z3,weight,lambda\n"
+    assert "at k = 0:" in capsys.readouterr().err
+
+
+def test_interrupt_keeps_the_rows(config, tmp_path, capsys, monkeypatch):
+    real, table = Experiment.run, tmp_path / "trace.csv"
+
+    def interrupted(experiment, progress):
+        real(replace(experiment, steps=5), progress)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Experiment, "run", interrupted)
+    assert cli.main(["run", str(config()), "--output", str(table)]) == cli.INTERRUPTED
+    assert len(rows_of(table)) == 5
+    assert "interrupted at k = 5" in capsys.readouterr().err
+
+
+def test_the_installed_command(config, tmp_path):
+    """The command itself, in a process of its own: status and streams as above."""
+    command = [sys.executable, "-c", "import sys; from rhl.app.cli import main; sys.exit(main())"]
+    done = subprocess.run([*command, "reproduce", "robot"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    bad = subprocess.run([*command, "run", "x", "--output", "y"], capture_output=True, text=True, check=False)
+    assert bad.returncode == 2
+    assert "Traceback" not in bad.stderr
+
+
+@pytest.mark.parametrize("flags", [("--output", "run.toml"), ("--output", "same.svg", "--plot", "same.svg")])
+def test_no_file_is_written_over_another_of_the_call(config, tmp_path, monkeypatch, capsys, flags):
+    monkeypatch.chdir(tmp_path)
+    path = config()
+    more = () if "--output" in flags else ("--output", "t.csv")
+    assert cli.main(["run", "run.toml", *flags, *more]) == cli.BAD_INPUT
+    assert "must name a file of its own" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == LINEAR
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.toml"]
+
+
+def test_links_are_followed_and_modes_kept(config, tmp_path):
+    target, link = tmp_path / "real.csv", tmp_path / "link.csv"
+    target.write_text("old", encoding="utf-8")
+    target.chmod(0o600)
+    link.symlink_to(target)
+    assert cli.main(["run", str(config()), "--output", str(link), "--force"]) == 0
+    assert link.is_symlink()
+    assert len(rows_of(target)) == 42
+    assert target.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_device_stays_a_device(config, capsys):
+    assert cli.main(["run", str(config()), "--output", "/dev/null"]) == 0
+    assert not Path("/dev/null").is_file()
+
+
+def test_rows_do_not_stay_where_the_figure_fails(config, tmp_path, monkeypatch, capsys):
+    real = cli.write_whole
+
+    def full(path, content):
+        if str(path).endswith(".svg"):
+            raise cli.InputError(f"{path} must be a writable file, got: No space left on device")
+        real(path, content)
+
+    monkeypatch.setattr(cli, "write_whole", full)
+    table = tmp_path / "t.csv"
+    call = ["run", str(config()), "--output", str(table), "--plot", str(tmp_path / "f.svg")]
+    assert cli.main(call) == cli.BAD_INPUT
+    assert not table.exists()
+
+
+@pytest.mark.parametrize(
+    ("replacements", "status"),
+    [
+        ([("1.02", "1e20"), ("steps = 42", "steps = 1000")], 3),
+        ([("1.02", "1e3"), ("steps = 42", "steps = 200")], 3),
+        ([("-10]", "1e100]")], 3),
+        ([("weight = 1.0", "weight = 1e-300")], 3),
+        ([('name = "linear"', "name = '$x_{$'")], 0),
+        ([("R = 10000.0", "R = 1e308")], 0),
+    ],
+)
+def test_extreme_runs_are_drawn_without_a_word(config, tmp_path, capsys, recwarn, replacements, status):
+    table, figure = tmp_path / "t.csv", tmp_path / "f.svg"
+    assert cli.main(["run", str(config(*replacements)), "--output", str(table), "--plot", str(figure)]) == status
+    assert capsys.readouterr().err.count("\n") == (1 if status else 0)
+    assert figure.exists()
+    assert rows_of(table)
+
+
+@pytest.mark.parametrize("error", [cli.LostControllabilityError, cli.NotSolvedError])
+def test_a_run_that_stops_keeps_its_rows(config, tmp_path, capsys, monkeypatch, error):
+    real, table = Experiment.run, tmp_path / "t.csv"
+
+    def lost(experiment, progress):
+        real(replace(experiment, steps=7), progress)
+        raise error("no lambda")
+
+    monkeypatch.setattr(Experiment, "run", lost)
+    assert cli.main(["run", str(config()), "--output", str(table)]) == cli.STOPPED
+    assert len(rows_of(table)) == 7
+    assert "stopped at k = 7: no lambda" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        ["run", "run.toml", "--output", "there"],
+        ["run", "run.toml", "--output", "new.csv", "--plot", "there.svg"],
+        ["reproduce", "robot", "--output", "there"],
+        ["verify", "eq-1", "--fast", "--json", "there"],
+        ["new", "there"],
+        ["schema", "--output", "there"],
+    ],
+    ids=" ".join,
+)
+def test_what_exists_is_written_over_by_force_only(config, tmp_path, monkeypatch, capsys, asked):
+    monkeypatch.chdir(tmp_path)
+    config()
+    for name in ("there", "there.svg", "there.toml"):
+        Path(name).write_text("mine", encoding="utf-8")
+    assert cli.main(asked) == cli.BAD_INPUT
+    assert "must name a new file, got there" in capsys.readouterr().err
+    assert {path.read_text(encoding="utf-8") for path in tmp_path.glob("there*")} == {"mine"}
+    assert not Path("new.csv").exists()
+    assert cli.main([*asked, "--force"]) == 0
+    assert any(path.read_text(encoding="utf-8") != "mine" for path in tmp_path.glob("there*"))
+
+
+def test_a_new_configuration_runs_as_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "mine"]) == 0
+    assert cli.main(["check", "mine.toml", "--run"]) == 0
+    assert cli.main(["run", "mine.toml", "--output", "mine.csv"]) == 0
+    assert len(rows_of(Path("mine.csv"))) == 60
+
+
+@pytest.mark.parametrize("name", ["", ".toml", "no/such/folder", "a\nb"])
+def test_names_that_a_new_configuration_cannot_have(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", name]) == cli.BAD_INPUT
+    assert capsys.readouterr().err.startswith("rhl: NAME must ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_check_tells_a_sound_configuration_from_an_unsound_one(config, tmp_path, capsys):
+    assert cli.main(["check", str(config())]) == 0
+    assert "violated" not in capsys.readouterr().out
+    deaf = tmp_path / "deaf.toml"
+    deaf.write_text(LINEAR.replace("G = [[0], [1], [0]]", "G = [[0], [0], [1]]"), encoding="utf-8")
+    assert cli.main(["check", str(deaf)]) == cli.MISSED
+    assert "the input does not reach the mode 1.02" in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_check_says_how_a_run_went_that_stopped(config, tmp_path, capsys):
+    path = tmp_path / "far.toml"
+    path.write_text(LINEAR.replace("1.02", "1e30"), encoding="utf-8")
+    assert cli.main(["check", str(path), "--run"]) == cli.STOPPED
+    streams = capsys.readouterr()
+    assert "after" in streams.out
+    assert "left the range of floating-point numbers" in streams.err
+
+
+def test_a_broken_assumption_is_one_line_of_warning(config, tmp_path, capsys):
+    path = tmp_path / "constant.toml"
+    path.write_text(LINEAR.replace("eps_rate = 100.0", 'eps = "constant"\neps_value = 0.1'), encoding="utf-8")
+    assert cli.main(["run", str(path), "--output", str(tmp_path / "t.csv")]) == 0
+    warned = capsys.readouterr().err.splitlines()
+    assert len(warned) == 1
+    assert warned[0].startswith("rhl: warning: Theorem 1 asks for an epsilon(k) that tends to zero: Constant does not")
+
+
+def test_the_schema_is_printed(capsys):
+    assert cli.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out) == schema()
+
+
+def test_pdf_is_a_figure_too(tmp_path, capsys):
+    assert cli.main(["reproduce", "linear", "--plot", str(tmp_path / "f.pdf")]) == 0
+    assert (tmp_path / "f.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "y" * 5000 + "/t.csv"])
+def test_names_that_no_file_can_have(capsys, name):
+    assert cli.main(["reproduce", "linear", "--output", name]) == cli.BAD_INPUT
+    assert "--output must name a file" in capsys.readouterr().err
+
+
+def test_an_interrupt_outside_the_loop_is_one_sentence(monkeypatch, capsys):
+    def interrupted(printed=False):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.published, "linear_example", interrupted)
+    assert cli.main(["reproduce", "linear"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "rhl: interrupted\n"
+
+
+def test_a_reader_who_leaves_and_a_full_disk():
+    command = f"{sys.executable} -c 'import sys; from rhl.app.cli import main; sys.exit(main())' reproduce robot"
+    gone = subprocess.run(["bash", "-c", f"{command} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True)
+    assert gone.returncode in (0, cli.BROKEN_PIPE)
+    assert gone.stderr == ""
+    full = subprocess.run(["bash", "-c", f"{command} > /dev/full"], capture_output=True, text=True, check=False)
+    assert full.returncode == cli.BAD_INPUT
+    assert full.stderr == "rhl: standard output must take the table, got: No space left on device\n"
+
+
+def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
+    file = tmp_path / "ledger.json"
+    assert cli.main(["verify", "remark-4.chain", "--cases", "5", "--json", str(file)]) == 0
+    written = json.loads(file.read_text(encoding="utf-8"))
+    assert written["version"] == 1
+    assert written["seed"] == 0
+    (entry,) = written["claims"]
+    assert entry["verdict"] == "holds-corrected"
+    assert entry["control"]["tripped"] is True
+    assert set(entry) == {
+        *("id", "item", "label", "statement", "method", "cases", "worst", "tolerance", "verdict", "reason"),
+        *("control", "page", "test", "seconds"),
+    }
+    assert "remark-4.chain" in capsys.readouterr().out
+
+
+def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
+    from rhl.paper.claims import ledger, lemma_6
+
+    honest = next(claim for claim in lemma_6.CLAIMS if claim.id == "remark-4.chain")
+    lying = replace(honest, recorded="refuted", corrected=None)
+    monkeypatch.setattr(ledger, "CLAIMS", (lying,))
+    assert cli.main(["verify", "--cases", "5"]) == 0  # without the correction it is refuted, as recorded
+    monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
+    assert cli.main(["verify", "--cases", "5"]) == cli.MISSED
+    assert "holds, NOT refuted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["lemma-99"], "ID must be one of the ledger's"),
+        (["--cases", "0"], "cases must be"),
+        (["--seed", "-1"], "seed must"),
+    ],
+)
+def test_verify_refuses(capsys, arguments, sentence):
+    assert cli.main(["verify", *arguments]) == cli.BAD_INPUT
+    assert sentence in capsys.readouterr().err
+
+
+def test_verify_lists(capsys):
+    assert cli.main(["verify", "--list", "lemma-6"]) == 0
+    assert capsys.readouterr().out.startswith("lemma-6 ")

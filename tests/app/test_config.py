@@ -1,0 +1,284 @@
+"""The form of a run's file: what is read, what is refused, and in which words."""
+
+import tomllib
+
+import jsonschema
+import numpy as np
+import pytest
+
+from rhl.app.config import Config, keys, load, parse, schema, template
+from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.errors import InputError
+from rhl.paper.published import linear_example, robot_arm
+from rhl.plants import LinearPlant, RobotArm
+from rhl.scheme import default_scheme
+
+LINEAR = """\
+name = "linear"
+steps = 42
+[plant]
+kind = "linear"
+F = [[0, 1, 0.1], [0, 1.02, 0], [0, 0, 0.92]]
+G = [[0], [1], [0]]
+H = [[1, 0, 1]]
+z0 = [0.1, 0.1, -10]
+[lifting]
+outputs = 4
+inputs = 4
+[estimator]
+window = 8
+weight = 1.0
+mixing = 0.0
+A0 = "companion-of-ones"
+B0 = "last-row-of-ones"
+[controller]
+Q = 100.0
+R = 10000.0
+QN = 100.0
+horizon = 20
+alpha = 1.0
+eps_rate = 100.0
+model_delay = 1
+"""
+
+ARM = """\
+name = "arm"
+steps = 62
+[plant]
+kind = "robot-arm"
+variant = "data"
+z0 = [5, -5, 1]
+[lifting]
+outputs = 2
+inputs = 2
+[estimator]
+window = 10
+weight = 1
+mixing = 0.5
+A0 = "companion-of-ones"
+B0 = "eye-last-row-of-ones"
+[controller]
+Q = 10
+R = [[100]]
+QN = 10
+horizon = 15
+alpha = 1
+eps_rate = 10
+model_delay = 1
+"""
+
+
+def read(text: str) -> Config:
+    return parse(tomllib.loads(text))
+
+
+@pytest.mark.parametrize(("text", "example"), [(LINEAR, linear_example), (ARM, robot_arm)])
+def test_files_describe_the_papers_examples(text, example):
+    assert np.array_equal(read(text).experiment().run().columns()["v1"], example().run().columns()["v1"])
+
+
+def test_another_setting_is_another_run():
+    changed = read(LINEAR.replace("eps_rate = 100.0", "eps_rate = 1000.0")).experiment().run()
+    assert np.abs(changed.v - linear_example().run().v).max() > 0.1
+
+
+def test_parts():
+    linear, arm = read(LINEAR).experiment(), read(ARM.replace('"data"', '"printed"')).experiment()
+    assert isinstance(linear.plant, LinearPlant)
+    assert linear.scheme.mixing == ConstantMixing(0.0)
+    assert arm.plant == RobotArm("printed")
+    searched = read(LINEAR.replace("mixing = 0.0", 'mixing = "search"')).experiment()
+    assert searched.scheme.mixing == LambdaSearch()
+
+
+def test_matrices_stand_for_names_and_numbers():
+    eye = "[" + ", ".join(str([100.0 if i == j else 0.0 for j in range(7)]) for i in range(7)) + "]"
+    text = (
+        LINEAR.replace('"companion-of-ones"', "[[0,1,0,0],[0,0,1,0],[0,0,0,1],[1,1,1,1]]")
+        .replace('"last-row-of-ones"', "[[0,0,0,0],[0,0,0,0],[0,0,0,0],[1,1,1,1]]")
+        .replace("Q = 100.0", f"Q = {eye}", 1)
+    )
+    assert np.array_equal(read(text).experiment().run().v, linear_example().run().v)
+
+
+REFUSED = [
+    ("F = [[0, 1, 0.1], [0, 1.02, 0], [0, 0, 0.92]]", "F = [[0, 1], [1]]", "plant.F must be a rectangular array"),
+    (
+        "F = [[0, 1, 0.1], [0, 1.02, 0], [0, 0, 0.92]]",
+        "F = [[0, 1, 2], [1, 2, 3]]",
+        "plant.F must be square, got shape",
+    ),
+    ("F = [[0, 1, 0.1], [0, 1.02, 0], [0, 0, 0.92]]", "F = []", "plant.F must have shape"),
+    ("0.92", "nan", "plant.F must be a square matrix of finite numbers"),
+    ("0.92", "inf", "plant.F must be a square matrix of finite numbers"),
+    ("0.92", '"a"', "plant.F must be .*'a'"),
+    ("0.92", "true", "plant.F must be .*True"),
+    ("0.92", "1" + "0" * 400, "plant.F must be a square matrix of finite numbers"),
+    ("G = [[0], [1], [0]]", "G = [[1], [2]]", r"plant.G must have shape \(3, at least 1\), got \(2, 1\)"),
+    ("H = [[1, 0, 1]]", "H = [[1, 0]]", r"plant.H must have shape \(at least 1, 3\), got \(1, 2\)"),
+    ("z0 = [0.1, 0.1, -10]", "z0 = [1]", "plant.z0 must have 3 entries.* got 1"),
+    ("z0 = [0.1, 0.1, -10]", "z0 = [[1, 2, 3]]", "plant.z0 must be a list"),
+    ("z0 = [0.1, 0.1, -10]\n", "", "plant.z0 must be .* got nothing; add the key"),
+    ('kind = "linear"', 'kind = "liner"', 'plant.kind must be "linear", .* or "python", got \'liner\''),
+    ('kind = "linear"\n', "", "plant.kind must be .* got no such key"),
+    ('kind = "linear"', 'kind = "robot-arm"', "plant.F is not a known key; expected one of kind, variant, z0"),
+    ("outputs = 4", "outputs = 0", "lifting.outputs must be a whole number from 1 to 100, .* got 0"),
+    ("inputs = 4", "inputs = 1.5", "lifting.inputs must be a whole number .* got 1.5"),
+    ("window = 8", "window = -1", "estimator.window must be a whole number .* got -1"),
+    ("window = 8", "window = 1979-05-27", "estimator.window must be a whole number"),
+    ("weight = 1.0", "weight = 0", "estimator.weight must be a positive number.* got 0"),
+    ("mixing = 0.0", "mixing = 1.0", r"estimator.mixing must be a number in \[0, 1\).* got 1.0"),
+    ("mixing = 0.0", "mixing = nan", "estimator.mixing must be .* got nan"),
+    ("mixing = 0.0", 'mixing = "serch"', "estimator.mixing must be .* got 'serch'"),
+    ('"companion-of-ones"', "[[1, 2], [3, 4]]", r"estimator.A0 must have shape \(4, 4\) .* got \(2, 2\)"),
+    ('"companion-of-ones"', '"ones"', "estimator.A0 must be .* got 'ones'"),
+    ('"last-row-of-ones"', "[[1]]", r"estimator.B0 must have shape \(4, 4\) .* got \(1, 1\)"),
+    ("R = 10000.0", "R = -1", "controller.R must be positive definite, got smallest eigenvalue -1"),
+    ("R = 10000.0", "R = 0", "controller.R must be positive definite"),
+    ("R = 10000.0", "R = [[1, 2], [3, 4]]", r"controller.R must be a number or a matrix of shape \(1, 1\)"),
+    ("QN = 100.0", 'QN = "a"', "controller.QN must be a positive number .* got 'a'"),
+    ("Q = 100.0", "Q = [[1, 2], [3, 4]]", r"controller.Q must be .* \(7, 7\), got shape \(2, 2\)"),
+    ("horizon = 20", "horizon = 0", "controller.horizon must be a whole number from 1 .* got 0"),
+    ("horizon = 20", "horizon = true", "controller.horizon must be a whole number .* got True"),
+    ("horizon = 20", "horizon = 1" + "0" * 400, "controller.horizon must be a whole number from 1 to 10000"),
+    ("horizon = 20\n", "", "controller.horizon must be .* got nothing; add the key"),
+    ("horizon = 20", "horizont = 20", "controller.horizont is not a known key; expected one of .*horizon"),
+    ("alpha = 1.0", "alpha = -1", "controller.alpha must be a positive number.* got -1"),
+    ("eps_rate = 100.0", "eps_rate = 0", "controller.eps_rate must be a positive number.* got 0"),
+    ("model_delay = 1", "model_delay = 2", "controller.model_delay must be 0 .* or 1 .* got 2"),
+    ("model_delay = 1", "model_delay = true", "controller.model_delay must be .* got True"),
+    ("steps = 42", "steps = 0", "steps must be a whole number from 1 .* got 0"),
+    ("steps = 42\n", "", "steps must be .* got nothing; add the key"),
+    ('name = "linear"', "name = 3", "name must be a text.* got 3"),
+    ("steps = 42", "steps = 1" + "0" * 5000, "must be valid TOML, got: Exceeds the limit"),
+    ("outputs = 4", "outputs = 1000", "lifting.outputs must be a whole number from 1 to 100"),
+    ("horizon = 20", '"a b\\n\\u001b[31m" = 1\nhorizon = 20', "controller.'a b.*31m' is not a known key"),
+    ("[controller]", "[controler]", "controler is not a known key; expected one of name, steps, plant"),
+    ("[lifting]\noutputs = 4\ninputs = 4\n", "", "lifting must be a section, got nothing; add the section"),
+]
+
+
+REFUSED += [
+    (
+        "window = 8",
+        "window = 8\nloss_scale = 0.1",
+        'estimator.loss_scale must be left out where loss is "sq.*got 0.1',
+    ),
+    (
+        "window = 8",
+        "window = 8\nlambda_max = 0.5",
+        "estimator.lambda_max must be left out where mixing is",
+    ),
+    ("eps_rate = 100.0", "eps_rate = 1.0\neps_power = 2.0", "controller.eps_power must be left out where eps is 'harm"),
+    (
+        "[controller]",
+        "[simulation]\noutlier_size = 2.0\n[controller]",
+        "simulation.outlier_size must be left out",
+    ),
+    (
+        "[controller]",
+        "[rough]\nF = [[1]]\nG = [[1]]\nH = [[1]]\n[controller]",
+        'estimator.A0 must be "rough" where there is a section',
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), REFUSED, ids=[sentence[:60] for *_, sentence in REFUSED])
+def test_refused(old, new, sentence, tmp_path):
+    assert old in LINEAR
+    path = tmp_path / "run.toml"
+    path.write_text(LINEAR.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=sentence) as caught:
+        load(path).experiment()
+    assert "\n" not in str(caught.value)
+    assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("alpha = 1.0", "alpha = 2.0"), ("weight = 1.0", "weight = 2.0"), ("window = 8", "window = 7")]
+)
+def test_every_number_is_heeded(old, new):
+    assert np.abs(read(LINEAR.replace(old, new)).experiment().run().v - linear_example().run().v).max() > 1e-3
+
+
+def test_a_byte_order_mark_is_no_matter(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text(LINEAR, encoding="utf-8-sig")
+    assert load(path).steps == 42
+
+
+def test_a_file_beyond_all_size_is_not_read(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_bytes(b"#" * 6_000_000)
+    with pytest.raises(InputError, match="of at most 5000000 bytes"):
+        load(path)
+
+
+@pytest.mark.parametrize("value", ["1e150", "1e300"])
+def test_an_initial_model_beyond_all_range_is_no_controllable_one(value):
+    huge = f"[[{value}, 0, 0, 0], [0, {value}, 0, 0], [0, 0, {value}, 0], [0, 0, 0, {value}]]"
+    text = LINEAR.replace('"companion-of-ones"', huge).replace("mixing = 0.0", 'mixing = "search"')
+    with pytest.raises(InputError, match="must be controllable for a lambda-search"):
+        read(text).experiment()
+
+
+def test_unreachable_initial_model_is_refused_where_lambda_is_searched():
+    dead = LINEAR.replace('"last-row-of-ones"', str([[0] * 4] * 4))
+    assert read(dead).experiment().steps == 42
+    with pytest.raises(InputError, match=r"\[estimator\] the initial model must be controllable"):
+        read(dead.replace("mixing = 0.0", 'mixing = "search"')).experiment()
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"name = ", "must be valid TOML, got: Invalid value"),
+        (b"\xff\xfe", "must be a TOML file in UTF-8"),
+        (b"a = " + b"[" * 5000 + b"]" * 5000, "must be valid TOML, got: too deeply nested"),
+        (b"", "name must be a text"),
+    ],
+)
+def test_files_that_are_no_configuration(tmp_path, content, sentence):
+    path = tmp_path / "run.toml"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=sentence):
+        load(path)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    for path in (tmp_path / "missing.toml", tmp_path):
+        with pytest.raises(InputError, match="must be a readable TOML file, got: "):
+            load(path)
+
+
+def test_every_key_is_documented():
+    documented = dict(keys())
+    assert all(documented.values())
+    for text in (LINEAR, ARM):
+        for section, entries in tomllib.loads(text).items():
+            named = {f"{section}.{key}" for key in entries} if isinstance(entries, dict) else {section}
+            assert named <= documented.keys()
+
+
+def test_what_has_an_effect_is_heeded():
+    robust = LINEAR.replace("window = 8", 'window = 8\nloss = "log-cosh"\nloss_scale = 0.1')
+    assert read(robust).experiment().scheme.estimator.loss.scale == 0.1
+    searched = LINEAR.replace("mixing = 0.0", 'mixing = "search"\nlambda_max = 0.5')
+    assert read(searched).experiment().scheme.mixing.lambda_max == 0.5
+
+
+def test_a_template_has_the_settings_of_the_default_scheme():
+    file, default = read(template("mine")).experiment().scheme, default_scheme(1, 1, 2)
+    assert file.estimator.window == default.estimator.window
+    assert file.estimator.generator.weight == default.estimator.generator.weight
+    assert file.controller.horizon == default.controller.horizon
+    assert file.controller.epsilon == default.controller.epsilon
+    assert np.array_equal(file.initial_model.theta, default.initial_model.theta)
+
+
+def test_the_schema_takes_what_the_parser_takes():
+    validator = jsonschema.Draft202012Validator(schema())
+    for text in (LINEAR, ARM, template("mine")):
+        assert list(validator.iter_errors(tomllib.loads(text))) == []
+    assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("steps = 42", "steps = 0"))))
+    assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("horizon = 20", "horizont = 20"))))

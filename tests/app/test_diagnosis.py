@@ -1,0 +1,224 @@
+"""The diagnosis: each assumption broken by one plant or one setting, and named then, and only then."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rhl.app.diagnosis import Diagnosis, Finding, diagnose, diagnose_run
+from rhl.basis import Polynomials
+from rhl.controllability import LambdaSearch
+from rhl.disturbances import GaussianNoise, Saturation
+from rhl.errors import AssumptionWarning, DivergedError, InputError
+from rhl.estimator import ProximalEstimator
+from rhl.lifting import DelayLifting
+from rhl.losses import LogCosh, Own, Varying, WeightedSquares
+from rhl.model import SignalModel
+from rhl.paper.published import linear_example, robot_arm
+from rhl.plants import FunctionPlant, LinearPlant, RobotArm
+from rhl.plants.examples import ready
+from rhl.schedules import Constant
+from rhl.scheme import default_scheme
+from rhl.simulation import Trace, simulate
+
+PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+SCHEME = default_scheme(1, 1, 2)
+
+
+def verdicts(diagnosis):
+    return {finding.subject: finding.verdict for finding in diagnosis.findings}
+
+
+def unmet(diagnosis):
+    return [finding.subject for finding in diagnosis.findings if finding.verdict in ("violated", "suspect")]
+
+
+def says(diagnosis, subject):
+    return next(finding.says for finding in diagnosis.findings if finding.subject == subject)
+
+
+def quietly(make):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", AssumptionWarning)
+        return make()
+
+
+def shortened(scheme):
+    return replace(scheme, controller=replace(scheme.controller, horizon=2))
+
+
+def dead(scheme):
+    return replace(scheme, initial_model=SignalModel(scheme.initial_model.A, 0 * scheme.initial_model.B))
+
+
+def with_estimator(**settings):
+    return lambda scheme: quietly(lambda: replace(scheme, estimator=ProximalEstimator(4, **settings)))
+
+
+def constant(scheme):
+    return quietly(lambda: replace(scheme, controller=replace(scheme.controller, epsilon=Constant(0.1))))
+
+
+def test_a_sound_plant_and_scheme():
+    found = diagnose(PLANT, SCHEME)
+    assert found.sound
+    assert unmet(found) == []
+    assert len(found.findings) >= 10
+
+
+@pytest.mark.parametrize(
+    ("plant", "subject", "words"),
+    [
+        (
+            LinearPlant([[1.1, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]]),
+            "Assumption 1, stabilizable",
+            "the input does not reach the mode 1.1",
+        ),
+        (
+            LinearPlant([[1.1, 0.0], [0.0, 0.5]], [[1.0], [1.0]], [[0.0, 1.0]]),
+            "Assumption 1, detectable",
+            "the outputs do not see the mode 1.1",
+        ),
+        (
+            LinearPlant(np.eye(3, k=1) + 0.5 * np.eye(3), [[0.0], [0.0], [1.0]], [[1.0, 0.0, 0.0]]),
+            "Assumption 1, m >= n",
+            "the observability index is 3",
+        ),
+        (
+            FunctionPlant(lambda z, v: [z[0] + 1.0 + v[0], 0.0], lambda z: z[:1], n=2, q=1),
+            "Plant",
+            "zero must be an equilibrium",
+        ),
+    ],
+    ids=["unstabilizable", "undetectable", "too-short", "no-equilibrium"],
+)
+def test_a_plant_that_breaks_one_assumption(plant, subject, words):
+    found = diagnose(plant, SCHEME)
+    assert unmet(found) == [subject]
+    assert words in says(found, subject)
+
+
+@pytest.mark.parametrize(
+    ("change", "subject"),
+    [
+        (shortened, "Assumption 3, N >= n"),
+        (dead, "Theorem 2(iii), initial model controllable"),
+        (constant, "Theorem 1, epsilon(k) -> 0"),
+        (with_estimator(generator=LogCosh()), "Lemma 4, D convex in its second argument"),
+    ],
+)
+def test_settings_that_break_one_assumption(change, subject):
+    assert unmet(diagnose(PLANT, change(SCHEME))) == [subject]
+
+
+def test_a_function_of_the_users_is_suspect_until_they_say_more():
+    def own(**facts):
+        return with_estimator(generator=Own(lambda x: x @ x, lambda x: 2 * x, **facts))(SCHEME)
+
+    assert unmet(diagnose(PLANT, own())) == ["Assumption 6, generator", "Lemma 4, D convex in its second argument"]
+    assert diagnose(PLANT, own(assumption_6=True, convex_in_second=True)).sound
+
+
+def test_the_observability_index_is_enough():
+    found = diagnose(RobotArm(), robot_arm().scheme)
+    assert verdicts(found)["Assumption 1, m >= n"] == "met"
+    assert "the observability index 1 is reached" in says(found, "Assumption 1, m >= n")
+    assert "linearisation" in says(found, "Plant")
+
+
+def test_what_the_theory_does_not_treat_is_outside():
+    scheme = replace(SCHEME, controller=replace(SCHEME.controller, adaptive=True))
+    found = diagnose(PLANT, scheme, sensor=GaussianNoise(0.1, 0), actuator=Saturation(-1.0, 1.0))
+    outside = [finding.subject for finding in found.findings if finding.verdict == "outside"]
+    assert outside == ["Adaptive weight", "Sensor", "Actuator"]
+    lifting = DelayLifting(2, 2, Polynomials(2))
+    wide = replace(
+        scheme,
+        lifting=lifting,
+        initial_model=SignalModel.companion_of_ones(5, 2),
+        controller=replace(SCHEME.controller, horizon=20),
+    )
+    assert "Basis functions" in unmet_or_outside(diagnose(PLANT, wide))
+    varying = replace(SCHEME, estimator=ProximalEstimator(4, Varying(lambda k: WeightedSquares(0.9**k))))
+    assert verdicts(diagnose(PLANT, varying))["Assumption 6, loss"] == "note"
+
+
+def unmet_or_outside(diagnosis):
+    return [finding.subject for finding in diagnosis.findings if finding.verdict not in ("met", "note")]
+
+
+def test_a_run_that_went_well():
+    found = diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], 60))
+    assert found.sound
+    assert "every estimate within" in says(found, "Certificates")
+
+
+def test_a_run_that_needs_longer():
+    assert unmet(diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], 12)))[0] == "Theorem 3, state and input go to zero"
+
+
+def test_a_run_under_noise_has_no_linear_model():
+    trace = simulate(SCHEME, PLANT, [1.0, -1.0], 60, sensor=GaussianNoise(0.05, 1))
+    assert "Assumption 7, a linear model of the run's signals exists" in unmet(diagnose_run(trace))
+
+
+def test_a_nonlinear_run_has_no_linear_model():
+    assert "Assumption 7, a linear model of the run's signals exists" in unmet(diagnose_run(robot_arm().run()))
+    assert verdicts(diagnose_run(linear_example().run()))[
+        "Assumption 7, a linear model of the run's signals exists"
+    ] == ("met")
+
+
+def test_lost_margins_are_named_with_their_step():
+    trace = simulate(dead(SCHEME), PLANT, [1.0, -1.0], 20)
+    found = diagnose_run(trace)
+    lost = trace.k[trace.margin_lifted < 1e-9]
+    assert lost[0] == 0
+    assert f"at {len(lost)} of 20 steps, first at k = 0" in says(
+        found, "Theorem 2(iii), lifted pair stays controllable"
+    )
+
+
+def test_a_run_that_stopped_early_can_be_looked_at():
+    far = LinearPlant([[1e40]], [[0.0]], [[1.0]])
+    with pytest.raises(DivergedError) as caught:
+        simulate(default_scheme(1, 1, 1), far, [1.0], 50)
+    found = diagnose_run(Trace(default_scheme(1, 1, 1), caught.value.steps))
+    assert "Theorem 3, state and input go to zero" in unmet(found)
+
+
+def test_large_gains_are_suspect():
+    scheme = replace(
+        SCHEME,
+        initial_model=SignalModel([[0.0, 1.0], [1.0, 1.0]], [[0.0, 0.0], [1e-7, 0.0]]),
+        controller=replace(SCHEME.controller, R=1e-20, epsilon=lambda k: 1e-18),
+    )
+    assert "Assumption 5(b), bounded gains of V1" in unmet(diagnose_run(simulate(scheme, PLANT, [1.0, -1.0], 3)))
+
+
+def test_the_search_has_its_own_idea_of_controllable():
+    searching = replace(SCHEME, mixing=LambdaSearch(least_margin=0.1))
+    assert "lambda is searched" in says(diagnose(PLANT, searching), "Theorem 2(iii), initial model controllable")
+    assert "not watched" in says(diagnose(PLANT, SCHEME), "Theorem 2(iii), initial model controllable")
+
+
+def test_it_prints_a_line_for_each_finding():
+    found = diagnose(PLANT, SCHEME)
+    assert len(str(found).splitlines()) == len(found.findings)
+
+
+@pytest.mark.parametrize(
+    ("act", "sentence"),
+    [
+        (lambda: diagnose(ready("quadruple-tank").plant, SCHEME), "the plant must have 1 outputs.* got 2"),
+        (
+            lambda: diagnose_run(simulate(SCHEME, PLANT, np.ones((3, 2)), 5)),
+            r"must be of one run, got a batch of shape",
+        ),
+        (lambda: Diagnosis((Finding("x", "fine", "y"),)), "verdict must be one of met, .* got 'fine'"),
+    ],
+)
+def test_refused(act, sentence):
+    with pytest.raises(InputError, match=sentence):
+        act()

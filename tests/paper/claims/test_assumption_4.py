@@ -1,0 +1,113 @@
+"""Assumption 4, Remark 1, equations (5)-(9): exact small cases, properties, and the claims as recorded."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rhl.horizon import V1, V3, solve
+from rhl.model import SignalModel
+from rhl.paper.claims import assumption_4, predictors
+from rhl.paper.claims.claim import Effort, judge
+from rhl.paper.claims.lyapunov_terms import follow
+from rhl.paper.claims.rotating_models import PLANE, consistent_model, rotation, turning
+
+small = st.integers(-3, 3)
+
+
+def exact(M):
+    return np.array([[Fraction(int(entry)) for entry in row] for row in M])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("claim", assumption_4.CLAIMS, ids=lambda claim: claim.id)
+def test_as_recorded(claim, seed):
+    judgement = judge(claim, Effort(seed, 10))
+    assert judgement.as_recorded, judgement
+
+
+@given(arrays(int, (2, 2), elements=small), arrays(int, (2, 2), elements=small), arrays(int, (5, 2), elements=small))
+def test_powers_commute_whatever_the_model(A, B, s):
+    """Nilpotent, singular, zero, repeated eigenvalues, q = n: (7) is exact for all of them."""
+    maps = predictors.powers(exact(A), exact(B), 4)
+    assert max(predictors.commutation_gaps(maps, np.array([Fraction(1), Fraction(-2)]), exact(s))) == 0
+
+
+@given(arrays(int, (2, 2), elements=small), arrays(int, (2, 1), elements=small), arrays(int, (3, 1), elements=small))
+def test_the_library_predicts_what_exact_arithmetic_does(A, B, s):
+    x = np.array([2, -1])
+    library = SignalModel(A.astype(float), B.astype(float)).predictor(3).predict(x, s)
+    maps = predictors.powers(exact(A), exact(B), 3)
+    for i in range(4):
+        assert np.array_equal(library[i], predictors.predict(maps, i, x, exact(s)).astype(float))
+
+
+@given(arrays(int, (2, 2), elements=small), arrays(int, (2, 1), elements=small))
+def test_predictions_are_steps_of_the_model(A, B):
+    """P_i by (5) against i steps of x+ = Ax + Bu."""
+    maps = predictors.powers(exact(A), exact(B), 4)
+    s = exact([[1], [-2], [3], [0]])
+    x = start = np.array([Fraction(1), Fraction(3)])
+    for i in range(4):
+        assert np.array_equal(predictors.predict(maps, i, start, s), x)
+        x = exact(A) @ x + exact(B) @ s[i]
+
+
+def test_range_of_seven_as_printed_names_a_map_that_is_not_there():
+    maps = predictors.powers(exact([[2]]), exact([[1]]), 2)
+    x, s = np.array([Fraction(1)]), exact([[1], [1], [1]])
+    assert max(predictors.commutation_gaps(maps, x, s)) == 0
+    assert predictors.commutation_gaps(maps, x, s, printed=True).count(1) == 4  # (i, j) with i + j = 3
+
+
+def test_error_of_no_step_is_zero_for_any_predictor():
+    """e_0 = A_0 x - x = 0: the proof of Lemma 2 cannot mean e_0."""
+    wrong = predictors.powers(exact([[5]]), exact([[7]]), 1)
+    assert predictors.predict(wrong, 0, np.array([Fraction(3)]), exact([[1]])) == 3
+
+
+def test_half_blind_plans_never_touch_what_they_are_wrong_about():
+    plant, predictor = predictors.half_blind(np.random.default_rng(0), 5)
+    x0 = np.array([1.0, -1.0, 0.0])
+    errors, states = predictors.prediction_errors(plant, predictor, np.broadcast_to(x0, (5, 3)), 20)
+    assert np.all(states[..., 2] == 0)
+    assert errors.max() < 1e-9 * np.abs(states).max()
+    plan = solve(V1(predictor, 1.0, 1.0, 1.0, 1.0, 4), x0)
+    assert np.abs(plan.u[..., 1]).max() < 1e-12
+    assert np.abs(plant.A - predictor.A).max() >= 1
+    assert np.abs(plant.B - predictor.B).max() > 0.1
+
+
+def test_consistent_model_is_right_about_its_own_first_step_at_every_angle():
+    model = consistent_model()
+    assert np.abs(model.A - PLANE * np.eye(2)).max() > 0.3
+    for angle in (0.0, 1.0, -2.5):
+        T = rotation(np.array(angle))
+        turned = SignalModel(T @ model.A @ T.T, T @ model.B @ T.T)
+        for x in np.eye(2):
+            plan = solve(V3(turned, 1.0, 1.0, np.zeros(2), 2), x)
+            assert plan.x[1] == pytest.approx(PLANE * x + plan.u[0], abs=1e-12)
+
+
+def test_right_along_the_loop_and_wrong_about_the_plan():
+    setting = turning(np.zeros(11), np.zeros((11, 2)), np.eye(2))
+    t = follow(setting)
+    assert np.abs(t.e1).max() < 1e-12
+    two = setting.plant.step(setting.plant.step(t.x, t.plan.u[..., 0, :]), t.plan.u[..., 1, :])
+    assert np.abs(two[:, 0] - t.plan.x[:, 0, 2]).max() > 0.1
+    assert follow(replace(setting, x0=0 * setting.x0)).x.max() == 0
+
+
+def test_no_evidence_from_a_predictor_that_is_not_wrong(monkeypatch):
+    """The check of Remark 1 must not pass on a predictor that is right everywhere."""
+
+    def honest(rng, count):
+        plant, _ = predictors.half_blind(rng, count)
+        return plant, plant
+
+    monkeypatch.setattr(assumption_4, "half_blind", honest)
+    assert not assumption_4.check_right_where_it_matters(Effort(0, 5)).passes

@@ -1,0 +1,40 @@
+"""Theorem 3: claims as recorded, and that their quantities mean what they say."""
+
+import numpy as np
+import pytest
+
+from rhl.paper.claims import theorem_3
+from rhl.paper.claims.claim import Effort, judge
+from rhl.simulation import simulate
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("claim", theorem_3.CLAIMS, ids=lambda claim: claim.id)
+def test_as_recorded(claim, seed):
+    judgement = judge(claim, Effort(seed, 10))
+    assert judgement.as_recorded, judgement
+
+
+def test_a_batch_is_its_members():
+    plant, z0 = theorem_3.random_plants(np.random.default_rng(0), 3)
+    together = simulate(theorem_3.scheme_for(3), plant, z0, 10)
+    for i in range(3):
+        one = theorem_3.LinearPlant(plant.F[i], plant.G[i], plant.H[i])
+        alone = simulate(theorem_3.scheme_for(3), one, z0[i], 10)
+        assert np.allclose(together.v[:, i], alone.v, rtol=1e-6, atol=1e-9)
+
+
+def test_plants_are_what_they_are_drawn_as():
+    plant, z0 = theorem_3.random_plants(np.random.default_rng(0), 20)
+    largest = np.sort(np.abs(np.linalg.eigvals(plant.F)), axis=1)
+    assert np.allclose(largest[:, -1], 1.2)
+    assert np.allclose(np.linalg.norm(z0, axis=1), 1)
+    assert np.all(theorem_3.random_plants(np.random.default_rng(0), 2, reachable=False)[0].G == 0)
+
+
+def test_end_over_peak_is_one_for_a_run_that_grows():
+    class Grown:
+        z = np.cumsum(np.ones((5, 2, 3)), axis=0)
+        v = np.zeros((5, 2, 1))
+
+    assert np.array_equal(theorem_3.end_over_peak(Grown()), [1.0, 1.0])
