@@ -1,7 +1,7 @@
 """Receding horizon learning: the executable companion of Ebenbauer, Pfitz and Yu, arXiv 2010.05891."""
 
-from rhl.closed_loop import Memory, Step, advance, closed_loop, replay, start, step
-from rhl.constraints import Knowledge
+from rhl.closed_loop import ControllerState, Step, advance, closed_loop, replay, start, step
+from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.disturbances import GaussianNoise, Saturation
 from rhl.errors import (
@@ -29,17 +29,17 @@ __all__ = [
     "AssumptionWarning",
     "ConstantMixing",
     "Controller",
+    "ControllerState",
     "DelayLifting",
     "DivergedError",
     "FunctionPlant",
     "GaussianNoise",
     "InfeasibleError",
     "InputError",
-    "Knowledge",
     "LambdaSearch",
+    "LinearConstraints",
     "LinearPlant",
     "LostControllabilityError",
-    "Memory",
     "NotSolvedError",
     "Plan",
     "PowerDecay",

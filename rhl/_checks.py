@@ -71,7 +71,7 @@ def numbers(value: Any) -> Array:
     Raises
     ------
     TypeError, ValueError
-        If it holds complex numbers, which numpy would cut down to the real part, texts, which it would read, or None.
+        If it holds complex numbers, which numpy would cut down to the real part, strings, which it would read, or None.
     """
     raw = np.asarray(value)
     if raw.dtype.kind not in "iufO":
@@ -163,9 +163,9 @@ def common_batch(**arrays: tuple[Array, int]) -> tuple[int, ...]:
 
 
 def integer(name: str, value: Any, minimum: int) -> int:
-    """Check a whole number of at least ``minimum``."""
+    """Check an integer of at least ``minimum``."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
-        raise InputError(f"{name} must be a whole number of at least {minimum}, got {describe(value)}")
+        raise InputError(f"{name} must be an integer of at least {minimum}, got {describe(value)}")
     return int(value)
 
 

@@ -99,7 +99,7 @@ class Proximal:
         data = self.R.T @ (bend[:, None] * self.R if bend.ndim == 1 else bend @ self.R)
         return data + (np.diag(hold) if hold.ndim == 1 else hold)
 
-    def distance(self, theta: Array) -> float:
+    def newton_decrement(self, theta: Array) -> float:
         """Return how far theta is from the minimiser: the length of Newton's step, relative to theta's.
 
         Where c and g are quadratic this is the distance itself, elsewhere the distance but for terms of second order.
@@ -190,7 +190,7 @@ class Proximal:
     def _descend(self, start: Array) -> tuple[Array, float, str]:
         """Return scipy's answer from a starting point, its distance, and the solver's words."""
         try:
-            distance, (_, step) = self.distance(start), self.newton(start)
+            distance, (_, step) = self.newton_decrement(start), self.newton(start)
             if distance < _NO_STEP:
                 return start + step if np.all(start + step > self.g.lower) else start, distance, ""
             try:
@@ -202,7 +202,7 @@ class Proximal:
                 # which scipy refuses; Newton's step needs none.
                 theta, message = start, str(error)
             theta = self._polish(theta)
-            return theta, self.distance(theta), message
+            return theta, self.newton_decrement(theta), message
         except InputError:
             raise
         except (np.linalg.LinAlgError, ValueError) as error:

@@ -49,7 +49,7 @@ def cost_step(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array) ->
     return np.linalg.solve(V, upper[..., :q, q:]), V, upper[..., q:, q:]
 
 
-def least_steering(steering: Array, wanted: Array, noise: Array) -> Array:
+def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:
     """Return the shortest w that brings ``steering`` @ w as near to ``wanted`` as it can be, shape (..., columns).
 
     Parameters

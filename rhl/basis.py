@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations_with_replacement
 from math import comb
 from typing import Protocol
 
@@ -39,13 +39,11 @@ class Polynomials:
     ----------
     degree : int
         At least 2; degree 1 is what every lifting has.
-    products_only : bool
-        Leave out powers: of different entries only.
 
     Raises
     ------
     InputError
-        If the degree is not a whole number of at least 2.
+        If the degree is not an integer of at least 2.
 
     Notes
     -----
@@ -58,20 +56,14 @@ class Polynomials:
     """
 
     degree: int
-    products_only: bool = False
 
     def __post_init__(self) -> None:
         integer("degree", self.degree, 2)
-        if not isinstance(self.products_only, bool):
-            raise InputError(f"products_only must be True or False, got {describe(self.products_only)}")
 
     def count(self, p: int, outputs: int) -> int:
         """Return how many monomials there are."""
         d = p * outputs
-        if self.products_only:
-            number = sum(comb(d, m) for m in range(2, min(self.degree, d) + 1))
-        else:
-            number = comb(d + self.degree, d) - d - 1  # all of degree at most m, without 1 and the outputs
+        number = comb(d + self.degree, d) - d - 1  # all of degree at most m, without 1 and the outputs
         if not 1 <= number <= _MOST:
             raise InputError(
                 f"the polynomials must be 1 to {_MOST} functions, got {number} of degree at most {self.degree} in "
@@ -81,8 +73,8 @@ class Polynomials:
 
     def features(self, stack: Array, p: int) -> Array:
         """Return the monomials, shape (..., count)."""
-        choose = combinations if self.products_only else combinations_with_replacement
-        chosen = [of for m in range(2, self.degree + 1) for of in choose(range(stack.shape[-1]), m)]
+        entries = range(stack.shape[-1])
+        chosen = [of for m in range(2, self.degree + 1) for of in combinations_with_replacement(entries, m)]
         return np.stack([np.prod(stack[..., list(of)], axis=-1) for of in chosen], axis=-1)
 
 
@@ -94,7 +86,7 @@ _FACTOR = re.compile(
 
 @dataclass(frozen=True)
 class Terms:
-    """Single products of outputs, written as texts: ``"y1*y2"``, ``"y1^3"``, ``"y1*y2(k-1)"``, ``"sin(y1)"``.
+    """Single products of outputs, written as strings: ``"y1*y2"``, ``"y1^3"``, ``"y1*y2(k-1)"``, ``"sin(y1)"``.
 
     Parameters
     ----------
@@ -105,7 +97,7 @@ class Terms:
     Raises
     ------
     InputError
-        If a text is no such product, uses an input (``v1``), or is not zero at zero.
+        If a string is no such product, uses an input (``v1``), or is not zero at zero.
 
     Notes
     -----
@@ -162,7 +154,7 @@ class Terms:
 
 def _split(text: object) -> list[str]:
     if not isinstance(text, str) or not text.strip() or len(text) > 200:
-        raise InputError(f"a term must be a text such as 'y1*y2' of at most 200 characters, got {describe(text)}")
+        raise InputError(f"a term must be a string such as 'y1*y2' of at most 200 characters, got {describe(text)}")
     # Inside a factor a space may not stand between digits: "y1 2" is no y12.
     return re.sub(r"\s*([-*^()])\s*", r"\1", text.strip()).split("*")
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, describe, instance, real_array
-from rhl.disturbances import Instrument, through
+from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
 from rhl.horizon import V1, Plan, solve
 from rhl.lifting import remember
@@ -19,7 +19,7 @@ from rhl.scheme import Scheme
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class ControllerState:
     """What the scheme carries from one step to the next.
 
     Attributes
@@ -77,7 +77,7 @@ class Step:
         What was solved at k.
     plan : Plan
         Its solution; ``plan.x[..., 0, :]`` is the augmented state X(k).
-    memory : Memory
+    memory : ControllerState
         What the step started from, y(k) included.
     stage : array of int, shape (...)
         What epsilon was taken at: k, or the stage j(k) of an adaptive weight.
@@ -94,7 +94,7 @@ class Step:
     lam: Array
     problem: V1
     plan: Plan
-    memory: Memory
+    memory: ControllerState
     stage: np.ndarray
     z: Array | None = None
 
@@ -103,7 +103,7 @@ class Step:
         _freeze(self, "stage", kind=np.int64)
 
 
-def _freeze(record: Memory | Step, *names: str, kind: type = np.float64) -> None:
+def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64) -> None:
     for name in names:
         if getattr(record, name) is not None:
             copy: np.ndarray = np.array(getattr(record, name), dtype=kind)
@@ -111,21 +111,21 @@ def _freeze(record: Memory | Step, *names: str, kind: type = np.float64) -> None
             object.__setattr__(record, name, copy)
 
 
-def start(scheme: Scheme) -> Memory:
+def start(scheme: Scheme) -> ControllerState:
     """Return the memory before k = 0: all signals zero, the initial model."""
     instance("scheme", scheme, Scheme)
     depth = scheme.estimator.window + 1 + max(scheme.lifting.outputs, scheme.lifting.inputs)
-    return Memory(0, np.zeros((depth, scheme.p)), np.zeros((depth, scheme.q)), scheme.initial_model)
+    return ControllerState(0, np.zeros((depth, scheme.p)), np.zeros((depth, scheme.q)), scheme.initial_model)
 
 
-def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
+def step(scheme: Scheme, memory: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme: from y(k) to v(k).
 
     Parameters
     ----------
     scheme : Scheme
         What was chosen beforehand.
-    memory : Memory
+    memory : ControllerState
         What the step before left, from ``start`` or ``advance``.
     y : array_like, shape (..., p)
         The output measured at k.
@@ -146,7 +146,7 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
         If y has another size, or a function of the user's own misbehaves.
     """
     instance("scheme", scheme, Scheme)
-    instance("memory", memory, Memory)
+    instance("memory", memory, ControllerState)
     y = real_array("y", y, (scheme.p,))
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -155,7 +155,7 @@ def step(scheme: Scheme, memory: Memory, y: ArrayLike) -> Step:
         raise DivergedError(memory.k, str(error)) from error
 
 
-def _step(scheme: Scheme, memory: Memory, y: Array) -> Step:
+def _step(scheme: Scheme, memory: ControllerState, y: Array) -> Step:
     lifting, estimator, controller = scheme.lifting, scheme.estimator, scheme.controller
     lead = np.broadcast_shapes(y.shape[:-1], memory.y.shape[:-2], memory.v.shape[:-2])
     y_history = remember(
@@ -181,11 +181,11 @@ def _step(scheme: Scheme, memory: Memory, y: Array) -> Step:
             plan = solve(problem, state)
     v = real_array("v", plan.u[..., 0, :])
     y_hat = y if memory.y_hat is None else memory.y_hat
-    seen = Memory(memory.k, y_history, v_history, memory.model, memory.y_hat)
+    seen = ControllerState(memory.k, y_history, v_history, memory.model, memory.y_hat)
     return Step(memory.k, y, v, y_hat, estimate, model, lam, problem, plan, seen, stage)
 
 
-def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
+def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> ControllerState:
     """Return the memory for k+1, given the input that was really applied at k.
 
     Parameters
@@ -199,7 +199,7 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
 
     Returns
     -------
-    Memory
+    ControllerState
     """
     instance("scheme", scheme, Scheme)
     instance("done", done, Step)
@@ -214,7 +214,7 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Memory:
         predicted = np.einsum("...ab,...b->...a", done.model.A, x) + np.einsum("...ab,...b->...a", done.model.B, u)
     adaptive = scheme.controller.adaptive
     stage, value = (done.stage, done.plan.value) if adaptive else (None, None)
-    return Memory(done.k + 1, done.memory.y, v_history, done.model, predicted[..., : scheme.p], stage, value)
+    return ControllerState(done.k + 1, done.memory.y, v_history, done.model, predicted[..., : scheme.p], stage, value)
 
 
 def closed_loop(
@@ -222,8 +222,8 @@ def closed_loop(
     plant: Plant,
     z0: ArrayLike,
     *,
-    sensor: Instrument | None = None,
-    actuator: Instrument | None = None,
+    sensor: Disturbances | None = None,
+    actuator: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Iterator[Step]:
     """Run the scheme on a plant for as long as the caller asks for steps.
@@ -236,9 +236,9 @@ def closed_loop(
         Unknown to the scheme but for the sizes of y and v.
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
-    sensor : callable, optional
-        (k, y) -> the output as it is measured, see ``rhl.disturbances``.
-    actuator : callable, optional
+    sensor : callable or tuple of callables, optional
+        (k, y) -> the output as it is measured, see ``rhl.disturbances``; those of a tuple are applied in order.
+    actuator : callable or tuple of callables, optional
         (k, v) -> the input as it is applied.
     applied_known : bool
         Whether the scheme remembers the input that was applied (as whoever knows the actuator can), or the one that it
@@ -252,7 +252,7 @@ def closed_loop(
     Raises
     ------
     InputError
-        If z0 does not fit the plant, the plant's sizes do not fit the scheme, or an instrument misbehaves.
+        If z0 does not fit the plant, the plant's sizes do not fit the scheme, or a disturbance misbehaves.
     DivergedError
         If a number leaves the range of float64.
     """
@@ -271,7 +271,12 @@ def closed_loop(
 
 
 def _run(
-    scheme: Scheme, plant: Plant, z: Array, sensor: Instrument | None, actuator: Instrument | None, applied_known: bool
+    scheme: Scheme,
+    plant: Plant,
+    z: Array,
+    sensor: Disturbances | None,
+    actuator: Disturbances | None,
+    applied_known: bool,
 ) -> Iterator[Step]:
     memory = start(scheme)
     while True:

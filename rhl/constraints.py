@@ -19,7 +19,7 @@ _MET_RTOL = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Knowledge:
+class LinearConstraints:
     r"""Linear equalities :math:`M \theta = b` of the signal model, :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`.
 
     Parameters
@@ -43,7 +43,7 @@ class Knowledge:
     --------
     The upper row of A is known, the rest is not:
 
-    >>> known = Knowledge.entries([[0.0, 1.0], [np.nan, np.nan]], [[np.nan], [np.nan]])
+    >>> known = LinearConstraints.entries([[0.0, 1.0], [np.nan, np.nan]], [[np.nan], [np.nan]])
     >>> known.M.shape
     (2, 6)
     """
@@ -72,7 +72,7 @@ class Knowledge:
                 )
 
     @classmethod
-    def entries(cls, A: ArrayLike, B: ArrayLike) -> Knowledge:
+    def entries(cls, A: ArrayLike, B: ArrayLike) -> LinearConstraints:
         """Know single entries of A and B; NaN stands for an unknown one.
 
         Parameters
@@ -84,7 +84,7 @@ class Knowledge:
 
         Returns
         -------
-        Knowledge
+        LinearConstraints
 
         Raises
         ------
@@ -105,7 +105,7 @@ class Knowledge:
         return cls(np.eye(len(theta))[known], theta[known])
 
     @classmethod
-    def shift(cls, p: int, outputs: int, q: int, inputs: int) -> Knowledge:
+    def shift(cls, p: int, outputs: int, q: int, inputs: int) -> LinearConstraints:
         r"""Know the rows of a delay-lifted model that only move outputs along.
 
         Of :math:`x(k+1) = [y(k+1); y(k); \dots; y(k-N_y+2)]` all but the first p entries are entries of x(k): these
@@ -120,7 +120,7 @@ class Knowledge:
 
         Returns
         -------
-        Knowledge
+        LinearConstraints
             No equality at all where ``outputs`` is 1.
         """
         for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
@@ -130,17 +130,17 @@ class Knowledge:
         A[p:], B[p:] = np.eye(n)[: n - p], 0.0
         return cls.entries(A, B)
 
-    def __and__(self, other: Knowledge) -> Knowledge:
+    def __and__(self, other: LinearConstraints) -> LinearConstraints:
         """Return the equalities of both."""
-        instance("what stands right of &", other, Knowledge)
+        instance("what stands right of &", other, LinearConstraints)
         if self.M.shape[1] != other.M.shape[1]:
             raise InputError(
                 f"both must be about models of one size, got {self.M.shape[1]} and {other.M.shape[1]} parameters"
             )
-        return Knowledge(np.concatenate([self.M, other.M]), np.concatenate([self.b, other.b]))
+        return LinearConstraints(np.concatenate([self.M, other.M]), np.concatenate([self.b, other.b]))
 
     @cached_property
-    def free(self) -> Array:
+    def null_space(self) -> Array:
         """An orthonormal basis of the directions in which theta may move, shape (n (n + q), freedom)."""
         return null_space(self.M) if len(self.b) else np.eye(self.M.shape[1])
 
@@ -156,7 +156,8 @@ class Knowledge:
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:
             raise InputError(
-                f"the knowledge must be about the {theta.shape[-1]} parameters of {name}, got {self.M.shape[1]} columns"
+                f"the constraints must be about the {theta.shape[-1]} parameters of {name}, "
+                f"got {self.M.shape[1]} columns"
             )
         left = np.abs(theta @ self.M.T - self.b)
         # An entry known to be zero is left at the rounding of the others, so the largest gives the measure.
@@ -164,7 +165,7 @@ class Knowledge:
         if np.any(left > _MET_RTOL * size):
             raise InputError(
                 f"{name} must satisfy what is known (M theta = b), got a violation of {left.max():.3g}; "
-                "start from knowledge.nearest(model)"
+                "start from constraints.nearest(model)"
             )
 
     def nearest(self, model: SignalModel) -> SignalModel:
@@ -176,4 +177,4 @@ class Knowledge:
         if not len(self.b):
             return model
         known = lstsq(self.M, self.b)[0]
-        return SignalModel.from_theta(known + (theta @ self.free) @ self.free.T, model.n, model.q)
+        return SignalModel.from_theta(known + (theta @ self.null_space) @ self.null_space.T, model.n, model.q)

@@ -31,14 +31,15 @@ def controllability_matrix(model: SignalModel) -> Array:
     return np.concatenate(blocks, axis=-1)
 
 
-def margin(model: SignalModel) -> Array:
+def controllability_margin(model: SignalModel) -> Array:
     """Return the smallest singular value of the controllability matrix, shape (...).
 
     Zero if the pair is not controllable; NaN where a power of A leaves the range of float64, so that nothing is known.
 
     Examples
     --------
-    >>> float(margin(SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])))  # no input reaches the first state
+    >>> deaf = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])  # no input reaches the first state
+    >>> float(controllability_margin(deaf))
     0.0
     """
     with np.errstate(over="ignore", invalid="ignore"):
@@ -159,7 +160,7 @@ class LambdaSearch:
     --------
     >>> lost, kept = SignalModel([[1.0]], [[0.0]]), SignalModel([[1.0]], [[1.0]])
     >>> lam = LambdaSearch(lambda_max=0.8).choose(lost, kept, lambda pair: pair)
-    >>> bool(margin(lost.mix(kept, lam)) > 0.5)
+    >>> bool(controllability_margin(lost.mix(kept, lam)) > 0.5)
     True
     """
 
@@ -200,11 +201,11 @@ class LambdaSearch:
         """
         view: Augment = augment if self.pair == "augmented" else lambda model: model
         # Mostly nothing is lost, and then no candidate need be looked at.
-        if np.all(margin(view(estimate)) >= self.least_margin):
+        if np.all(controllability_margin(view(estimate)) >= self.least_margin):
             return np.zeros(estimate.A.shape[:-2])
         lam = np.concatenate([[0.0], candidates(view(estimate).n, self.lambda_max, self.count)])
         stacked = [SignalModel(M.A[..., None, :, :], M.B[..., None, :, :]) for M in (estimate, previous)]
-        margins = margin(view(stacked[0].mix(stacked[1], lam)))
+        margins = controllability_margin(view(stacked[0].mix(stacked[1], lam)))
         enough = margins >= self.least_margin
         if not np.all(np.any(enough, axis=-1)):
             raise LostControllabilityError(

@@ -12,7 +12,9 @@ from rhl._checks import Array, describe, fraction, integer, positive, real_array
 from rhl.errors import InputError
 
 # k and the signal, shape (..., size) -> the signal as it comes out, of the same shape.
-Instrument = Callable[[int, Array], ArrayLike]
+Disturbance = Callable[[int, Array], ArrayLike]
+# One, or several of which each is fed by the one before.
+Disturbances = Disturbance | tuple[Disturbance, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class GaussianNoise:
     Raises
     ------
     InputError
-        If a deviation is negative, or the seed is not a whole number of at least 0.
+        If a deviation is negative, or the seed is not an integer of at least 0.
     """
 
     std: Array | float
@@ -128,38 +130,15 @@ class Outliers:
         return y + np.where(hit, sign * self.size, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class InTurn:
-    """Two instruments, the second fed by the first.
-
-    Parameters
-    ----------
-    first, second : callable
-        (k, signal) -> signal.
-    """
-
-    first: Instrument
-    second: Instrument
-
-    @property
-    def name(self) -> str:
-        """Both names."""
-        return " and ".join(str(getattr(part, "name", type(part).__name__)) for part in (self.first, self.second))
-
-    def __call__(self, k: int, signal: Array) -> Array:
-        """Return what comes out of the second, shape (..., size)."""
-        return through("second instrument", self.second, k, through("first instrument", self.first, k, signal))
-
-
-def through(name: str, instrument: Instrument | None, k: int, signal: Array) -> Array:
-    """Pass a signal through an instrument, the user's own too, and check what comes out.
+def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) -> Array:
+    """Pass a signal through a disturbance, the user's own too, and check what comes out.
 
     Parameters
     ----------
     name : str
         What messages call it: "sensor" or "actuator".
-    instrument : callable or None
-        None passes the signal as it is.
+    disturbance : callable, tuple of callables, or None
+        Each of a tuple is fed by the one before; None passes the signal as it is.
     k : int
         The step.
     signal : array, shape (..., size)
@@ -172,12 +151,16 @@ def through(name: str, instrument: Instrument | None, k: int, signal: Array) -> 
     Raises
     ------
     InputError
-        If the instrument raises, or returns another shape or numbers that are not finite.
+        If a disturbance raises, or returns another shape or numbers that are not finite.
     """
-    if instrument is None:
+    if disturbance is None:
+        return signal
+    if isinstance(disturbance, tuple):
+        for part in disturbance:
+            signal = through(name, part, k, signal)
         return signal
     try:
-        found = instrument(k, signal)
+        found = disturbance(k, signal)
     except Exception as error:  # whatever a user's function raises
         raise InputError(
             f"the {name} must take (k, signal) with a signal of shape {signal.shape}, got {reason(error)}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer, real_array
 from rhl._proximal import Proximal, quadratic, regression
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.losses import Convex, Varying, WeightedSquares, called, convex
 from rhl.model import SignalModel
@@ -30,17 +30,17 @@ class ProximalEstimator:
     ----------
     window : int
         :math:`\bar N`, the number of transitions x(j-1), u(j-1) -> x(j) that are fitted.
-    loss : WeightedSquares, LogCosh, PseudoHuber, Own or Varying
+    loss : WeightedSquares, LogCosh, PseudoHuber, CustomLoss or Varying
         c; weights: one number, or one for each of the window n residuals, newest transition first.
-    generator : WeightedSquares, Entropy, LogCosh, PseudoHuber or Own
+    generator : WeightedSquares, Entropy, LogCosh, PseudoHuber or CustomLoss
         g, which induces D; weights: one number, or one for each of the n (n + q) parameters, column by column.
-    knowledge : Knowledge, optional
+    constraints : LinearConstraints, optional
         M and b, what is known of the model beforehand.
 
     Raises
     ------
     InputError
-        If the window is not a whole number of at least 1, or a loss or generator lacks a member.
+        If the window is not an integer of at least 1, or a loss or generator lacks a member.
 
     Warns
     -----
@@ -53,13 +53,13 @@ class ProximalEstimator:
     Source: equations (15) to (17). With weighted squares the problem is a regularised least-squares problem, for each
     row of [A B] by itself where the weights are entrywise (Remark 2); it is solved by an orthogonal factorisation, so
     that the data are never squared. Every other loss and generator goes to scipy's trust-region method, which starts
-    at the centre; its answer must pass the certificate ``distance``.
+    at the centre; its answer must pass the certificate ``newton_decrement``.
     """
 
     window: int
     loss: Convex | Varying = field(default_factory=WeightedSquares)
     generator: Convex = field(default_factory=WeightedSquares)
-    knowledge: Knowledge | None = None
+    constraints: LinearConstraints | None = None
 
     def __post_init__(self) -> None:
         integer("window", self.window, 1)
@@ -77,8 +77,8 @@ class ProximalEstimator:
                 AssumptionWarning,
                 stacklevel=3,
             )
-        if not (self.knowledge is None or isinstance(self.knowledge, Knowledge)):
-            raise InputError(f"knowledge must be a Knowledge or None, got {describe(self.knowledge)}")
+        if not (self.constraints is None or isinstance(self.constraints, LinearConstraints)):
+            raise InputError(f"constraints must be a LinearConstraints or None, got {describe(self.constraints)}")
 
     def minimise(self, centre: SignalModel, x: Array, u: Array, k: int = 0) -> SignalModel:
         r"""Return :math:`\theta^*(k)`, the minimiser of equation (15), as a signal model.
@@ -86,7 +86,7 @@ class ProximalEstimator:
         Parameters
         ----------
         centre : SignalModel
-            The proximal centre :math:`\tilde\theta(k-1)`; must satisfy the knowledge.
+            The proximal centre :math:`\tilde\theta(k-1)`; must satisfy the constraints.
         x : array, shape (..., window + 1, n)
             x(k), x(k-1), ..., x(k - window).
         u : array, shape (..., window, q)
@@ -101,14 +101,14 @@ class ProximalEstimator:
         Raises
         ------
         InputError
-            If shapes or weights do not fit the model and the window, the centre does not satisfy the knowledge or
+            If shapes or weights do not fit the model and the window, the centre does not satisfy the constraints or
             lies outside the generator's domain, or a function of the user's own misbehaves.
         NotSolvedError
             If the answer to a problem that is not quadratic misses its certificate.
         """
         loss, x, u = self._problem(centre, x, u, k)
         if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
-            entrywise = self.knowledge is None and np.ndim(loss.weight) < 2 and np.ndim(self.generator.weight) < 2
+            entrywise = self.constraints is None and np.ndim(loss.weight) < 2 and np.ndim(self.generator.weight) < 2
             if entrywise:
                 return self._row_by_row(loss, self.generator, centre, x, u)
             free = self._free(centre)
@@ -118,7 +118,7 @@ class ProximalEstimator:
             theta = np.reshape([problem.solve() for problem in problems], (*lead, centre.theta.shape[-1]))
         return SignalModel.from_theta(theta, centre.n, centre.q)
 
-    def distance(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
+    def newton_decrement(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
         r"""Certify an answer: how far a model is from the minimiser of equation (15), recomputed from the problem.
 
         Parameters
@@ -143,7 +143,7 @@ class ProximalEstimator:
             )
         lead, problems = self._problems(loss, centre, x, u)
         theta = np.broadcast_to(model.theta, (*lead, centre.theta.shape[-1])).reshape(len(problems), -1)
-        return np.reshape([problem.distance(of) for problem, of in zip(problems, theta, strict=True)], lead)
+        return np.reshape([problem.newton_decrement(of) for problem, of in zip(problems, theta, strict=True)], lead)
 
     def _problem(self, centre: SignalModel, x: Array, u: Array, k: int) -> tuple[Convex, Array, Array]:
         """Check centre, x and u, and return the loss of step k with x and u."""
@@ -166,10 +166,10 @@ class ProximalEstimator:
         return loss, x, u
 
     def _free(self, centre: SignalModel) -> Array:
-        if self.knowledge is None:
+        if self.constraints is None:
             return np.eye(centre.theta.shape[-1])
-        self.knowledge.check("the centre", centre)
-        return self.knowledge.free
+        self.constraints.check("the centre", centre)
+        return self.constraints.null_space
 
     def _problems(
         self, loss: Convex, centre: SignalModel, x: Array, u: Array

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, common_batch, instance, integer, read_only, real_array, weight_matrix
-from rhl._riccati import cost_step, least_steering
+from rhl._riccati import cost_step, truncated_min_norm
 from rhl.errors import InfeasibleError, InputError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
 
@@ -356,7 +356,7 @@ def _pushes(problem: V2 | V3, backward: list[tuple[Array, Array, Array, Array]],
     drift = np.einsum("...ab,...b->...a", L, state)
     wanted = problem.r - drift if isinstance(problem, V3) else -drift
     steering = np.concatenate(np.broadcast_arrays(*columns), axis=-1)
-    w = least_steering(steering, wanted, np.concatenate(np.broadcast_arrays(*sizes), axis=-1))
+    w = truncated_min_norm(steering, wanted, np.concatenate(np.broadcast_arrays(*sizes), axis=-1))
     if isinstance(problem, V3):
         miss = np.linalg.norm(wanted - np.einsum("...ab,...b->...a", steering, w), axis=-1)
         start = np.linalg.norm(state[..., : problem.model.n], axis=-1)

@@ -42,7 +42,7 @@ class DelayLifting:
     Raises
     ------
     InputError
-        If a length is not a whole number of at least 1, or the basis is none.
+        If a length is not an integer of at least 1, or the basis is none.
 
     Notes
     -----

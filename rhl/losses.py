@@ -258,17 +258,17 @@ class Entropy:
         return np.asarray(self.weight / x)
 
 
-@dataclass(frozen=True, eq=False)
-class Own:
+@dataclass(frozen=True, eq=False, init=False)
+class CustomLoss:
     """A loss or a generator of the user's own, from its value and its gradient.
 
     Parameters
     ----------
-    of : callable
+    value : callable
         x, shape (d,) -> c(x) or g(x), a number. In the order of ``WeightedSquares``.
-    slope : callable
+    gradient : callable
         x, shape (d,) -> the gradient, shape (d,).
-    curvature : callable, optional
+    hessian : callable, optional
         x, shape (d,) -> second derivatives, shape (d,) where the matrix is diagonal, else (d, d). Taken by forward
         differences of the gradient where omitted: slower, and the answer as exact.
     lower : float
@@ -284,48 +284,62 @@ class Own:
         When one of the functions raises, or returns another shape, or NaN.
     """
 
-    of: Callable[[Array], float]
-    slope: Callable[[Array], ArrayLike]
-    curvature: Callable[[Array], ArrayLike] | None = None
-    lower: float = -np.inf
-    assumption_6: bool | None = None
-    convex_in_second: bool | None = None
-    name: str = "Own"
+    _value: Callable[[Array], float]
+    _gradient: Callable[[Array], ArrayLike]
+    _hessian: Callable[[Array], ArrayLike] | None
+    lower: float
+    assumption_6: bool | None
+    convex_in_second: bool | None
+    name: str
 
-    def __post_init__(self) -> None:
-        for role in ("of", "slope", "curvature"):
-            found = getattr(self, role)
-            if not callable(found) and not (role == "curvature" and found is None):
+    def __init__(
+        self,
+        value: Callable[[Array], float],
+        gradient: Callable[[Array], ArrayLike],
+        hessian: Callable[[Array], ArrayLike] | None = None,
+        lower: float = -np.inf,
+        assumption_6: bool | None = None,
+        convex_in_second: bool | None = None,
+        name: str = "CustomLoss",
+    ) -> None:
+        functions: dict[str, object] = {"value": value, "gradient": gradient, "hessian": hessian}
+        for role, found in functions.items():
+            if not callable(found) and not (role == "hessian" and found is None):
                 raise InputError(f"{role} must be a function of x, got {describe(found)}")
-        lower: object = self.lower
-        if isinstance(lower, bool) or not isinstance(lower, (int, float)) or not lower < np.inf:
-            raise InputError(f"lower must be a number or -inf, got {describe(self.lower)}")
-        for known in ("assumption_6", "convex_in_second"):
-            if not isinstance(getattr(self, known), bool | None):
-                raise InputError(f"{known} must be True, False or None, got {describe(getattr(self, known))}")
-        if not isinstance(self.name, str):
-            raise InputError(f"name must be a text, got {describe(self.name)}")
+        bound: object = lower
+        if isinstance(bound, bool) or not isinstance(bound, (int, float)) or not bound < np.inf:
+            raise InputError(f"lower must be a number or -inf, got {describe(lower)}")
+        facts: dict[str, object] = {"assumption_6": assumption_6, "convex_in_second": convex_in_second}
+        for known, fact in facts.items():
+            if not isinstance(fact, bool | None):
+                raise InputError(f"{known} must be True, False or None, got {describe(fact)}")
+        called_so: object = name
+        if not isinstance(called_so, str):
+            raise InputError(f"name must be a string, got {describe(name)}")
+        settings = {f"_{role}": found for role, found in functions.items()} | {"lower": lower, **facts, "name": name}
+        for setting, chosen in settings.items():
+            object.__setattr__(self, setting, chosen)
 
     def value(self, x: Array) -> Array:
         """Return the value, shape (...); infinite outside the domain."""
-        return _each(lambda point: self._value(point), x, ())
+        return _each(lambda point: self._at(point), x, ())
 
     def gradient(self, x: Array) -> Array:
         """Return the gradient, shape (..., d)."""
-        return _each(lambda point: self._call("slope", self.slope, point, [point.shape]), x, x.shape[-1:])
+        return _each(lambda point: self._call("gradient", self._gradient, point, [point.shape]), x, x.shape[-1:])
 
     def hessian(self, x: Array) -> Array:
         """Return the second derivatives, shape (..., d) or (..., d, d)."""
         d = x.shape[-1]
-        if self.curvature is not None:
-            known = self.curvature
-            rows = [self._call("curvature", known, point, [(d,), (d, d)]) for point in x.reshape(-1, d)]
+        if self._hessian is not None:
+            known = self._hessian
+            rows = [self._call("hessian", known, point, [(d,), (d, d)]) for point in x.reshape(-1, d)]
             return np.reshape(rows, (*x.shape[:-1], *rows[0].shape))
         return _each(self._differences, x, (d, d))
 
-    def _value(self, point: Array) -> Array:
+    def _at(self, point: Array) -> Array:
         # Outside its domain a function of the user's need not have an answer.
-        return self._call("of", self.of, point, [()]) if np.all(point > self.lower) else np.asarray(np.inf)
+        return self._call("value", self._value, point, [()]) if np.all(point > self.lower) else np.asarray(np.inf)
 
     def _differences(self, point: Array) -> Array:
         # Forward, because the domain is bounded from below only.
@@ -344,7 +358,7 @@ class Own:
         if found.shape not in shapes:
             wanted = " or ".join(str(shape) for shape in shapes)
             raise InputError(f"{self.name}'s function {role!r} must return shape {wanted}, got {found.shape}")
-        if np.any(np.isnan(found)) or (role != "of" and np.any(np.isinf(found))):
+        if np.any(np.isnan(found)) or (role != "value" and np.any(np.isinf(found))):
             raise InputError(
                 f"{self.name}'s function {role!r} must return finite numbers in its domain, got {found.ravel()[:3]} "
                 f"at x with entries from {point.min():.3g} to {point.max():.3g}; set lower where the domain is bounded"
@@ -359,7 +373,7 @@ class Varying:
     Parameters
     ----------
     at : callable
-        k -> the loss of that step: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``Own``.
+        k -> the loss of that step: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``CustomLoss``.
 
     Raises
     ------
@@ -390,7 +404,7 @@ def convex(name: str, value: Any) -> Convex:
     InputError
         If it lacks one.
     """
-    kind = "a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or Own for your own functions)"
+    kind = "a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or CustomLoss for your own functions)"
     members(name, value, kind, "value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
     checked: Convex = value
     return checked
@@ -430,7 +444,7 @@ def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
     >>> float(divergence(WeightedSquares(), [3.0, 0.0], [0.0, 4.0]))
     25.0
     """
-    members("g", g, "a generator (WeightedSquares, Entropy, ..., or Own)", "value", "gradient")
+    members("g", g, "a generator (WeightedSquares, Entropy, ..., or CustomLoss)", "value", "gradient")
     x, y = real_array("x", x, (None,)), real_array("y", y, (None,))
     d, weights = x.shape[-1], np.shape(getattr(g, "weight", 1.0))
     if y.shape[-1] != d:

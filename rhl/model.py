@@ -226,7 +226,7 @@ class SignalModel:
         """Build an initial model that moves stacked outputs along, and knows nothing else.
 
         The first p rows of A and B, which predict y(k+1), are ones; the others are those of a delay lifting, which
-        ``Knowledge.shift`` holds fixed.
+        ``LinearConstraints.shift`` holds fixed.
 
         Parameters
         ----------

@@ -156,7 +156,7 @@ def run(trace: Trace, title: str = "") -> Figure:
     for ax in axes[2:]:
         ax.set_yscale("log")
     if title:
-        # The title is a text and no formula, whatever is in it.
+        # The title is a string and no formula, whatever is in it.
         axes[0].set_title(title[:60].replace("$", r"\$"), fontsize=10, parse_math=False)
     return figure
 

@@ -18,59 +18,34 @@ _LEAST = 1e-300
 
 
 @dataclass(frozen=True)
-class HarmonicDecay:
-    r"""The schedule :math:`\epsilon(k) = 1 / (1 + \eta k)` of Section VI.
+class PowerDecay:
+    r"""The schedule :math:`\epsilon(k) = (1 + \eta k)^{-p}`; p = 1 is the harmonic one of Section VI.
 
     Parameters
     ----------
     rate : float
         :math:`\eta`, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
-
-    Raises
-    ------
-    InputError
-        If the rate is not positive; epsilon has to tend to zero (Theorem 1).
-
-    Examples
-    --------
-    >>> HarmonicDecay(100)(10)
-    0.000999000999000999
-    """
-
-    rate: float
-    vanishes = True
-
-    def __post_init__(self) -> None:
-        positive("rate", self.rate)
-
-    def __call__(self, k: int) -> float:
-        """Return epsilon(k)."""
-        return 1.0 / (1.0 + self.rate * k)
-
-
-@dataclass(frozen=True)
-class PowerDecay:
-    r"""The schedule :math:`\epsilon(k) = (1 + \eta k)^{-p}`; p = 1 is the harmonic one.
-
-    Parameters
-    ----------
-    rate : float
-        :math:`\eta`, positive.
     power : float
         p, positive.
 
     Raises
     ------
     InputError
-        If a parameter is not positive.
+        If a parameter is not positive; epsilon has to tend to zero (Theorem 1).
 
     Notes
     -----
-    Theorem 1 asks of a schedule only that it is positive and tends to zero.
+    It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
+    that it is positive and tends to zero.
+
+    Examples
+    --------
+    >>> PowerDecay(100)(10)
+    0.000999000999000999
     """
 
     rate: float
-    power: float
+    power: float = 1.0
     vanishes = True
 
     def __post_init__(self) -> None:
@@ -79,7 +54,10 @@ class PowerDecay:
 
     def __call__(self, k: int) -> float:
         """Return epsilon(k), at least 1e-300."""
-        return max(float(np.exp(-self.power * np.log1p(self.rate * k))), _LEAST)
+        try:
+            return max(float(1.0 / (1.0 + self.rate * k) ** self.power), _LEAST)
+        except OverflowError:  # the power of a number leaves the range
+            return _LEAST
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from rhl._checks import Array, describe, instance, integer, positive, real_array, weight_matrix
-from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, margin
+from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllability_margin
 from rhl.errors import AssumptionWarning, InputError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares, called
 from rhl.model import SignalModel
-from rhl.schedules import HarmonicDecay, Schedule, epsilon_at
+from rhl.schedules import PowerDecay, Schedule, epsilon_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ class Scheme:
     Raises
     ------
     InputError
-        If sizes do not fit each other, the initial model contradicts the estimator's knowledge or lies outside its
+        If sizes do not fit each other, the initial model contradicts the estimator's constraints or lies outside its
         generator's domain, or the mixing is a search and the initial model is not controllable.
     """
 
@@ -146,8 +146,8 @@ class Scheme:
         instance("mixing", self.mixing, ConstantMixing, LambdaSearch)
         augmented = self.lifting.augment(self.initial_model)
         self.lifting.output_size(self.initial_model.n)
-        if self.estimator.knowledge is not None:
-            self.estimator.knowledge.check("the initial model", self.initial_model)
+        if self.estimator.constraints is not None:
+            self.estimator.constraints.check("the initial model", self.initial_model)
         generator = self.estimator.generator
         if not np.all(self.initial_model.theta > generator.lower):
             raise InputError(
@@ -159,7 +159,7 @@ class Scheme:
         weight_matrix("QN", self.controller.QN, augmented.n)
         if isinstance(self.mixing, LambdaSearch):
             model = augmented if self.mixing.pair == "augmented" else self.initial_model
-            least = np.min(margin(model))
+            least = np.min(controllability_margin(model))
             if not least >= self.mixing.least_margin:
                 raise InputError(
                     "the initial model must be controllable for a lambda-search: "
@@ -199,7 +199,7 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     Raises
     ------
     InputError
-        If a size is not a whole number of at least 1.
+        If a size is not an integer of at least 1.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
@@ -207,6 +207,6 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     return Scheme(
         lifting=DelayLifting(order, order),
         estimator=ProximalEstimator(2 * order, generator=WeightedSquares(0.01)),
-        controller=Controller(1.0, 1.0, 1.0, max(30, 2 * (n + (order - 1) * q)), HarmonicDecay(10)),
+        controller=Controller(1.0, 1.0, 1.0, max(30, 2 * (n + (order - 1) * q)), PowerDecay(10)),
         initial_model=SignalModel.companion_of_ones(n, q * order, "last-row-of-ones"),
     )

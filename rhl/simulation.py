@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,15 +15,12 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, write_whole
 from rhl.closed_loop import Step, closed_loop
-from rhl.controllability import margin
-from rhl.disturbances import Instrument
+from rhl.controllability import controllability_margin
+from rhl.disturbances import Disturbances
 from rhl.errors import DivergedError, InputError
 from rhl.horizon import Plan
 from rhl.plants.base import Plant
 from rhl.scheme import Scheme
-
-if TYPE_CHECKING:
-    import pandas
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +104,7 @@ class Trace:
         return np.stack([np.asarray(done.problem.weight) for done in self.steps])
 
     @cached_property
-    def distance(self) -> Array:
+    def newton_decrement(self) -> Array:
         """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
         estimator, lifting = self.scheme.estimator, self.scheme.lifting
         rows = []
@@ -115,18 +112,18 @@ class Trace:
             memory = done.memory
             x = lifting.lift(memory.y, estimator.window + 1)
             u = lifting.window(memory.v, lifting.inputs, estimator.window)
-            rows.append(estimator.distance(done.estimate, memory.model, x, u, done.k))
+            rows.append(estimator.newton_decrement(done.estimate, memory.model, x, u, done.k))
         return np.stack(rows)
 
     @cached_property
     def margin_lifted(self) -> Array:
         """Smallest singular value of the lifted pair's controllability matrix, shape (steps, ...)."""
-        return np.stack([margin(done.model) for done in self.steps])
+        return np.stack([controllability_margin(done.model) for done in self.steps])
 
     @cached_property
     def margin_augmented(self) -> Array:
         """The same for Remark 4's augmented pair, which is the one the controller uses, shape (steps, ...)."""
-        return np.stack([margin(self.scheme.lifting.augment(done.model)) for done in self.steps])
+        return np.stack([controllability_margin(self.scheme.lifting.augment(done.model)) for done in self.steps])
 
     def plan(self, k: int) -> Plan:
         """Return what was planned at step k: inputs, predicted signals, certificate."""
@@ -142,12 +139,6 @@ class Trace:
         names = header(self.y.shape[1], self.v.shape[1], z.shape[1])
         values = (self.k, *self.y.T, *self.v.T, *self.y_hat.T, *z.T, self.weight, self.lam)
         return dict(zip(names, values, strict=True))
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """Return ``columns`` as a data frame, one row per k."""
-        import pandas as pd  # here, because loading it takes longer than most runs
-
-        return pd.DataFrame(self.columns())
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
@@ -168,8 +159,8 @@ def simulate(
     steps: int,
     progress: Callable[[Step], None] | None = None,
     *,
-    sensor: Instrument | None = None,
-    actuator: Instrument | None = None,
+    sensor: Disturbances | None = None,
+    actuator: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Trace:
     """Run the scheme on a plant and collect what happened.

@@ -12,22 +12,22 @@ from rhl.app.config import load, parse, template
 from rhl.app.diagnosis import Finding, diagnose, diagnose_run
 from rhl.basis import Features, Polynomials, Terms
 from rhl.closed_loop import advance, replay, start, step
-from rhl.constraints import Knowledge
-from rhl.controllability import ConstantMixing, LambdaSearch, candidates, margin
+from rhl.constraints import LinearConstraints
+from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_margin
 from rhl.disturbances import GaussianNoise, Outliers, Saturation, through
 from rhl.errors import AssumptionWarning, DivergedError, InputError, NotFiniteError, PlantError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1, V2, V3, condensed_hessian, solve
 from rhl.lifting import DelayLifting
-from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
+from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper import figures
 from rhl.paper.published import compare_linear, compare_robot, curve, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants._realisation import observable_basis
 from rhl.plants.analysis import detectability, linearise, observable_part, rough_model, stabilizability
-from rhl.plants.examples import CartPendulum, flexible_shaft, quadruple_tank, ready
-from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at
+from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
+from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.scheme import Controller, Scheme, default_scheme
 from rhl.simulation import Trace, simulate
 from tests.bad_input import faults, listing, refusal
@@ -36,12 +36,12 @@ ONE = SignalModel([[1.0]], [[1.0]])
 PLANT = LinearPlant([[0.5]], [[1.0]], [[1.0]])
 LIFTING, ESTIMATOR = DelayLifting(1, 1), ProximalEstimator(2)
 MAPS = ONE.predictor(2)
-KNOWN = Knowledge([[1.0, 0.0]], [1.0])
+KNOWN = LinearConstraints([[1.0, 0.0]], [1.0])
 PROBLEM = V1(ONE, 1.0, 1.0, 1.0, 1.0, 2)
 
 
 def controller(**changed):
-    return Controller(**{"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 3, "epsilon": HarmonicDecay(1), **changed})
+    return Controller(**{"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 3, "epsilon": PowerDecay(1), **changed})
 
 
 def scheme(**changed):
@@ -85,10 +85,10 @@ def from_tf(num, den, dt=True):
     return lambda: LinearPlant.from_control(control.TransferFunction(num, den, dt))
 
 
-def own(of=lambda x: x @ x, slope=lambda x: 2 * x, **more):
+def own(value=lambda x: x @ x, gradient=lambda x: 2 * x, **more):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AssumptionWarning)
-        estimator = ProximalEstimator(2, Own(of, slope, **more))
+        estimator = ProximalEstimator(2, CustomLoss(value, gradient, **more))
     return estimator.minimise(ONE, np.ones((3, 1)), np.ones((2, 1)))
 
 
@@ -122,7 +122,7 @@ API = [
     ("B nullable", lambda: SignalModel([[1.0]], pd.DataFrame([[pd.NA]])), r"^B must hold real numbers, got", None),
     ("B rows", lambda: SignalModel(np.eye(2), [[1.0]]), r"^B must have shape \(2, at least 1\), got \(1, 1\)", None),
     ("theta", lambda: SignalModel.from_theta([1.0], 1, 1), r"^theta must have shape \(2,\), got \(1,\)", None),
-    ("theta of no order", lambda: SignalModel.from_theta([1.0], 0, 1), r"^n must be a whole number .*got 0", None),
+    ("theta of no order", lambda: SignalModel.from_theta([1.0], 0, 1), r"^n must be an integer .*got 0", None),
     ("initial B's name", lambda: SignalModel.companion_of_ones(1, 1, np.eye(2)), r"^inputs must be one of", None),
     ("mix with a matrix", lambda: ONE.mix([[1.0]], 0.5), r"^other must be a SignalModel, got", None),
     ("lam above 1", lambda: ONE.mix(ONE, 1.5), r"^lam must be in \[0, 1\], got 1.5", None),
@@ -147,11 +147,11 @@ API = [
     ),
     ("F of many outputs", lambda: observable_basis(np.ones((2, 2, 2)), np.eye(2)), r"^F and H must be single", "take"),
     ("no function", lambda: plant(3), r"^transition must be a function transition\(z, v\), got 3", None),
-    ("n zero", lambda: plant(n=0), r"^n must be a whole number of at least 1, got 0", None),
-    ("q text", lambda: plant(q="1"), r"^q must be a whole number of at least 1, got '1'", None),
+    ("n zero", lambda: plant(n=0), r"^n must be an integer of at least 1, got 0", None),
+    ("q text", lambda: plant(q="1"), r"^q must be an integer of at least 1, got '1'", None),
     ("length 0.5", lambda: CartPendulum(length=0), r"^length must be a positive finite number, got 0", None),
     ("friction NaN", lambda: CartPendulum(friction=np.nan), r"^friction must be finite, got nan", None),
-    ("no ready plant", lambda: ready("x" * 999), r"^name must be one of cart-pendulum.*got 'xxx.*\.\.\.$", None),
+    ("no example", lambda: example("x" * 999), r"^name must be one of cart-pendulum.*got 'xxx.*\.\.\.$", None),
     ("valves", lambda: quadruple_tank("open"), r"^valves must be one of minimum-phase, .*got 'open'", None),
     ("h of 1e308", lambda: flexible_shaft(1.7e308), r"^h must be a sampling time .*got 1.7e\+308", "shorten it"),
     # structure
@@ -184,7 +184,7 @@ API = [
     ),
     ("detectability of text", lambda: detectability([["a"]], [[1.0]]), r"^F must hold real numbers", None),
     # basis and lifting
-    ("degree 1", lambda: Polynomials(1), r"^degree must be a whole number of at least 2, got 1", None),
+    ("degree 1", lambda: Polynomials(1), r"^degree must be an integer of at least 2, got 1", None),
     (
         "too many monomials",
         lambda: DelayLifting(9, 1, Polynomials(9)).size(3),
@@ -225,9 +225,9 @@ API = [
         r"^function must take the stacked outputs .*got one",
         "inputs",
     ),
-    ("no outputs", lambda: DelayLifting(0, 1), r"^outputs must be a whole number of at least 1, got 0", None),
+    ("no outputs", lambda: DelayLifting(0, 1), r"^outputs must be an integer of at least 1, got 0", None),
     ("no basis", lambda: DelayLifting(1, 1, "y1"), r"^basis must be Polynomials, .*got 'y1'", None),
-    ("negative window", lambda: LIFTING.window(np.ones((3, 1)), 1, 1, -1), r"^start must be a whole .*got -1", None),
+    ("negative window", lambda: LIFTING.window(np.ones((3, 1)), 1, 1, -1), r"^start must be an integer .*got -1", None),
     (
         "window beyond the past",
         lambda: LIFTING.window(np.ones((3, 1)), 2, 3),
@@ -258,10 +258,20 @@ API = [
         None,
     ),
     ("entropy of a matrix", lambda: Entropy(np.eye(2)), r"^weight must be positive, .*got shape \(2, 2\)", None),
-    ("own without slope", lambda: Own(fails, None), r"^slope must be a function of x, got None", None),
-    ("own raises", lambda: own(slope=fails), r"'slope' must take x .*got ValueError: first line second", "call it"),
-    ("own of NaN", lambda: own(slope=lambda x: x * np.nan), r"'slope' must return finite .*got \[nan\]?", "set lower"),
-    ("own of another shape", lambda: own(slope=lambda x: x[:1]), r"'slope' must return shape .*got \(1,\)", None),
+    ("own without gradient", lambda: CustomLoss(fails, None), r"^gradient must be a function of x, got None", None),
+    (
+        "own raises",
+        lambda: own(gradient=fails),
+        r"'gradient' must take x .*got ValueError: first line second",
+        "call it",
+    ),
+    (
+        "own of NaN",
+        lambda: own(gradient=lambda x: x * np.nan),
+        r"'gradient' must return finite .*got \[nan\]?",
+        "set lower",
+    ),
+    ("own of another shape", lambda: own(gradient=lambda x: x[:1]), r"'gradient' must return shape .*got \(1,\)", None),
     (
         "own known wrongly",
         lambda: own(assumption_6="yes"),
@@ -299,38 +309,53 @@ API = [
         r"^x and y must lie in the domain of Ent.*got",
         None,
     ),
-    # knowledge, estimator
+    # constraints, estimator
     (
-        "knowledge contradicts itself",
-        lambda: Knowledge([[1.0], [1.0]], [0.0, 1.0]),
+        "constraints that contradict each other",
+        lambda: LinearConstraints([[1.0], [1.0]], [0.0, 1.0]),
         r"^the equalities must not .*got row",
         "take",
     ),
     (
-        "knowledge of 0 = 1",
-        lambda: Knowledge([[0.0]], [1.0]),
+        "constraints of 0 = 1",
+        lambda: LinearConstraints([[0.0]], [1.0]),
         r"^the equalities must not contradict each other, got",
         "take",
     ),
-    ("M without b", lambda: Knowledge([[1.0]], []), r"^M and b must have shapes .*got \(1, 1\) and \(0,\)", "give one"),
+    (
+        "M without b",
+        lambda: LinearConstraints([[1.0]], []),
+        r"^M and b must have shapes .*got \(1, 1\) and \(0,\)",
+        "give one",
+    ),
     (
         "'?' in the API",
-        lambda: Knowledge.entries([["?"]], [[1.0]]),
+        lambda: LinearConstraints.entries([["?"]], [[1.0]]),
         r"^A and B must hold numbers, NaN where .*'\?'",
         None,
     ),
-    ("None as unknown", lambda: Knowledge.entries([[None]], [[1.0]]), r"^A and B must hold numbers, .*None", None),
-    ("complex knowledge", lambda: Knowledge.entries([[1j]], [[1.0]]), r"^A and B must hold numbers, .*1j", None),
-    ("known infinite", lambda: Knowledge.entries([[np.inf]], [[1.0]]), r"^b must be finite, got inf", None),
-    ("knowledge & number", lambda: KNOWN & 3, r"^what stands right of & must be a Knowledge, got 3", None),
     (
-        "knowledge of another size",
+        "None as unknown",
+        lambda: LinearConstraints.entries([[None]], [[1.0]]),
+        r"^A and B must hold numbers, .*None",
+        None,
+    ),
+    (
+        "complex constraints",
+        lambda: LinearConstraints.entries([[1j]], [[1.0]]),
+        r"^A and B must hold numbers, .*1j",
+        None,
+    ),
+    ("known infinite", lambda: LinearConstraints.entries([[np.inf]], [[1.0]]), r"^b must be finite, got inf", None),
+    ("constraints & number", lambda: KNOWN & 3, r"^what stands right of & must be a LinearConstraints, got 3", None),
+    (
+        "constraints of another size",
         lambda: KNOWN.nearest(SignalModel(np.eye(2), np.eye(2))),
         r"^the model must have 2",
         None,
     ),
-    ("window 0", lambda: ProximalEstimator(0), r"^window must be a whole number of at least 1, got 0", None),
-    ("window 2.0", lambda: ProximalEstimator(2.0), r"^window must be a whole number of at least 1, got 2.0", None),
+    ("window 0", lambda: ProximalEstimator(0), r"^window must be an integer of at least 1, got 0", None),
+    ("window 2.0", lambda: ProximalEstimator(2.0), r"^window must be an integer of at least 1, got 2.0", None),
     (
         "loss by name",
         lambda: ProximalEstimator(2, "squares"),
@@ -362,12 +387,12 @@ API = [
     ("lambda_max 0", lambda: LambdaSearch(lambda_max=0), r"^lambda_max must be a positive finite number, got 0", None),
     ("pair an array", lambda: LambdaSearch(np.eye(2)), r"^pair must be one of lifted, augmented, got array", None),
     ("count", lambda: candidates(2, 0.5, "few"), r"^count must be one of lemma, sharp, got 'few'", None),
-    ("margin of a matrix", lambda: margin(np.eye(2)), r"^model must be a SignalModel, got array", None),
+    ("margin of a matrix", lambda: controllability_margin(np.eye(2)), r"^model must be a SignalModel, got array", None),
     # horizon
     (
         "horizon 0",
         lambda: V1(ONE, 1.0, 1.0, 1.0, 1.0, 0),
-        r"^horizon must be a whole number of at least 1, got 0",
+        r"^horizon must be an integer of at least 1, got 0",
         None,
     ),
     (
@@ -390,7 +415,7 @@ API = [
     ("x infinite", lambda: solve(PROBLEM, [np.inf]), r"^x must be finite, got inf", None),
     ("u beyond the maps", lambda: MAPS.predict([1.0], [[1.0]]), r"^u must have shape \(2, 1\), got \(1, 1\)", None),
     # schedules, controller, scheme
-    ("rate 0", lambda: HarmonicDecay(0), r"^rate must be a positive finite number, got 0", None),
+    ("rate 0", lambda: PowerDecay(0), r"^rate must be a positive finite number, got 0", None),
     ("power inf", lambda: PowerDecay(1.0, np.inf), r"^power must be a positive finite number, got inf", None),
     ("factor 1", lambda: ExponentialDecay(1.0), r"^factor must be a number in \[0, 1\), got 1.0", None),
     ("constant 0", lambda: Constant(0.0), r"^value must be a positive finite number, got 0.0", None),
@@ -432,12 +457,14 @@ API = [
     ),
     (
         "a start that is known wrong",
-        lambda: scheme(initial_model=DEAD, estimator=ProximalEstimator(2, knowledge=Knowledge([[0.0, 1.0]], [1.0]))),
+        lambda: scheme(
+            initial_model=DEAD, estimator=ProximalEstimator(2, constraints=LinearConstraints([[0.0, 1.0]], [1.0]))
+        ),
         r"^the initial model must satisfy what is known .*got a violation of 1",
         "start",
     ),
-    ("order 0", lambda: default_scheme(1, 1, 0), r"^order must be a whole number of at least 1, got 0", None),
-    # instruments
+    ("order 0", lambda: default_scheme(1, 1, 0), r"^order must be an integer of at least 1, got 0", None),
+    # disturbances
     ("bounds", lambda: Saturation(1.0, -1.0), r"^low must be below high .*got low 1.0 and high -1.0", None),
     (
         "bounds of other lengths",
@@ -446,7 +473,7 @@ API = [
         None,
     ),
     ("noise -1", lambda: GaussianNoise(-1.0, 0), r"^std must be a number, or one for each .*got -1.0", None),
-    ("seed 1.5", lambda: GaussianNoise(1.0, 1.5), r"^seed must be a whole number of at least 0, got 1.5", None),
+    ("seed 1.5", lambda: GaussianNoise(1.0, 1.5), r"^seed must be an integer of at least 0, got 1.5", None),
     ("rate 1", lambda: Outliers(1.0, 1.0, 0), r"^rate must be a number in \[0, 1\), got 1.0", None),
     ("sensor raises", lambda: run(sensor=fails), r"^the sensor must take \(k, signal\) .*got ValueError: first", None),
     (
@@ -458,7 +485,7 @@ API = [
     ("sensor a number", lambda: run(sensor=3), r"^the sensor must take \(k, signal\) .*got TypeError", None),
     # closed loop, trace
     ("no scheme", lambda: start(None), r"^scheme must be a Scheme, got None", None),
-    ("no memory", lambda: step(SCHEME, None, [1.0]), r"^memory must be a Memory, got None", None),
+    ("no memory", lambda: step(SCHEME, None, [1.0]), r"^memory must be a ControllerState, got None", None),
     ("y of another size", lambda: step(SCHEME, STEP.memory, [1.0, 2.0]), r"^y must have shape \(1,\), got", None),
     ("no plant", lambda: run(plant=3), r"^plant must be a plant .*got 3 without n", None),
     ("z0 of another size", lambda: run(z0=[1.0, 2.0]), r"^z0 must have shape \(1,\), got \(2,\)", None),
@@ -469,7 +496,7 @@ API = [
         None,
     ),
     ("applied_known 1", lambda: run(applied_known=1), r"^applied_known must be True or False, got 1", None),
-    ("steps 0", lambda: run(steps=0), r"^steps must be a whole number of at least 1, got 0", None),
+    ("steps 0", lambda: run(steps=0), r"^steps must be an integer of at least 1, got 0", None),
     (
         "records of other lengths",
         lambda: list(replay(SCHEME, [[1.0]], [[1.0], [1.0]])),
@@ -519,7 +546,7 @@ API = [
     ("keys that are numbers", lambda: parse({1: 2}), r"^a run must be described by a dictionary .*got {1: 2}", None),
     ("no file", lambda: load("missing.toml"), r"^missing.toml must be a readable TOML file, got: No such", None),
     ("a path of None", lambda: load(None), r"^None must be a readable TOML file, got: ", None),
-    ("a template without a name", lambda: template(3), r"^name must be a text, got 3", None),
+    ("a template without a name", lambda: template(3), r"^name must be a string, got 3", None),
 ]
 
 # Those whose type says more than InputError.

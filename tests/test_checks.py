@@ -119,7 +119,7 @@ def test_numbers_takes_what_holds_numbers(value):
 
 @pytest.mark.parametrize("value", [None, [1.0, None], "3", ["3"], 1j, np.complex128(1), [1j], True, [[1], [2, 3]]])
 def test_numbers_refuses(value):
-    """Where numpy would take NaN for None, read a text, or drop an imaginary part."""
+    """Where numpy would take NaN for None, read a string, or drop an imaginary part."""
     with pytest.raises((TypeError, ValueError)):
         numbers(value)
 
@@ -132,7 +132,7 @@ def test_integer_takes(value):
 
 @pytest.mark.parametrize("value", [0, -3, 1.0, 2.5, True, "3", None, np.nan])
 def test_integer_refuses(value):
-    sentence = f"N must be a whole number of at least 1, got {value!r}"
+    sentence = f"N must be an integer of at least 1, got {value!r}"
     with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
         integer("N", value, 1)
 

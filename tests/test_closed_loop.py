@@ -15,7 +15,7 @@ from rhl.horizon import solve
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, RobotArm
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme
 from rhl.simulation import simulate
 
@@ -30,7 +30,7 @@ Z0 = np.array([1.0, -2.0])
 
 
 def controller(**changes):
-    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": HarmonicDecay(10.0)}
+    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": PowerDecay(10.0)}
     return Controller(**settings | changes)
 
 
@@ -209,14 +209,14 @@ def test_a_plant_may_have_state_and_output_alike():
     assert run(made, plant=RobotArm(), z0=[0.1, 0.0, 0.0], steps=3)[2].y.shape == (3,)
 
 
-# Instruments between scheme and plant
+# Disturbances between scheme and plant
 
 
-def run_with(made, steps=STEPS, z0=Z0, **instruments):
-    return list(islice(closed_loop(made, PLANT, z0, **instruments), steps))
+def run_with(made, steps=STEPS, z0=Z0, **disturbances):
+    return list(islice(closed_loop(made, PLANT, z0, **disturbances), steps))
 
 
-def test_without_instruments_nothing_is_changed(made):
+def test_without_disturbances_nothing_is_changed(made):
     passing = {"sensor": lambda k, y: y, "actuator": lambda k, v: v}
     for known in (True, False):
         for one, other in zip(run(made), run_with(made, applied_known=known, **passing), strict=True):
@@ -233,6 +233,13 @@ def test_a_sensor_stands_before_the_scheme():
         assert np.array_equal(after.memory.y[1], done.y)  # what is remembered is what was measured
         assert np.array_equal(after.z, PLANT.step(done.z, done.v))
         assert not np.array_equal(done.y, PLANT.output(done.z))
+
+
+def test_sensors_in_a_tuple_are_one_after_the_other():
+    noisy, wrong = GaussianNoise(0.1, SEED), Outliers(0.5, 3.0, SEED)
+    together = run_with(SCHEMES["plain"], sensor=(noisy, wrong))
+    nested = run_with(SCHEMES["plain"], sensor=lambda k, y: wrong(k, noisy(k, y)))
+    assert all(np.array_equal(one.v, other.v) for one, other in zip(together, nested, strict=True))
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -267,7 +274,7 @@ def test_a_saturated_replay_is_the_run():
 
 
 @pytest.mark.parametrize(
-    ("instruments", "sentence"),
+    ("disturbances", "sentence"),
     [
         ({"sensor": lambda k, y: y[:0]}, r"the sensor must return the shape that it is given, \(1,\), got \(0,\)"),
         ({"actuator": lambda k, v: v / 0 if k == 2 else v}, "the actuator must take .* divide by zero"),
@@ -275,9 +282,9 @@ def test_a_saturated_replay_is_the_run():
         ({"sensor": 3}, r"the sensor must take \(k, signal\)"),
     ],
 )
-def test_instruments_refused(instruments, sentence):
+def test_disturbances_refused(disturbances, sentence):
     with pytest.raises(InputError, match=sentence):
-        run_with(SCHEMES["plain"], **instruments)
+        run_with(SCHEMES["plain"], **disturbances)
 
 
 # The adaptive terminal weight
@@ -433,10 +440,10 @@ def test_a_batch_of_plants_may_start_from_one_state():
         (lambda: scheme(Q=np.eye(2)), r"Q must be a number or a matrix of shape \(3, 3\), got shape \(2, 2\)"),
         (lambda: scheme(R=-1.0), "R must be positive definite, got smallest eigenvalue -1"),
         (lambda: scheme(QN=0.0), "QN must be positive definite, got smallest eigenvalue 0"),
-        (lambda: scheme(horizon=0), "horizon must be a whole number of at least 1, got 0"),
+        (lambda: scheme(horizon=0), "horizon must be an integer of at least 1, got 0"),
         (lambda: scheme(alpha=0.0), r"alpha must be a positive finite number, got 0\.0"),
         (lambda: scheme(model_delay=2), "model_delay must be 0 or 1, got 2"),
-        (lambda: HarmonicDecay(0.0), r"rate must be a positive finite number, got 0\.0"),
+        (lambda: PowerDecay(0.0), r"rate must be a positive finite number, got 0\.0"),
         (lambda: run(scheme(epsilon=lambda k: 1.0 - k)), "epsilon must be positive and finite .* got 0.0 at k = 1"),
         (
             lambda: replace(scheme(), initial_model=SignalModel(np.eye(3), np.ones((3, 2)))),
@@ -463,14 +470,14 @@ def test_uncontrollable_initial_model_is_allowed_without_a_search():
 
 
 def test_harmonic_decay():
-    assert [HarmonicDecay(100.0)(k) for k in (0, 1, 10)] == [1.0, 1 / 101, 1 / 1001]
+    assert [PowerDecay(100.0)(k) for k in (0, 1, 10)] == [1.0, 1 / 101, 1 / 1001]
 
 
 @pytest.mark.parametrize("pair", ["lifted", "augmented"])
 def test_the_search_looks_at_the_pair_it_is_told_to(pair):
     """y+ = a y + b v - a b v(k-1): controllable as a lifted pair, not as an augmented one."""
     initial = SignalModel(np.array([[1.5]]), np.array([[1.0, -1.5]]))
-    controller = Controller(Q=1.0, R=1.0, QN=1.0, horizon=3, epsilon=HarmonicDecay(1.0))
+    controller = Controller(Q=1.0, R=1.0, QN=1.0, horizon=3, epsilon=PowerDecay(1.0))
     parts = (DelayLifting(1, 2), ProximalEstimator(2), controller, initial)
     if pair == "lifted":
         assert Scheme(*parts, LambdaSearch("lifted")).mixing.pair == "lifted"

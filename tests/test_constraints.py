@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
@@ -19,8 +19,8 @@ NAN = np.nan
 ROUNDING = 1e-13
 
 
-def left_over(knowledge, model):
-    return float(np.max(np.abs(model.theta @ knowledge.M.T - knowledge.b)))
+def left_over(constraints, model):
+    return float(np.max(np.abs(model.theta @ constraints.M.T - constraints.b)))
 
 
 def draw(rng, n, q, lead=()):
@@ -31,7 +31,7 @@ def draw(rng, n, q, lead=()):
 
 
 def test_entries_by_hand():
-    known = Knowledge.entries([[0.5, NAN], [NAN, 2.0]], [[NAN], [3.0]])
+    known = LinearConstraints.entries([[0.5, NAN], [NAN, 2.0]], [[NAN], [3.0]])
     # theta = [a11, a21, a12, a22, b1, b2], column by column.
     assert np.array_equal(known.M, np.eye(6)[[0, 3, 5]])
     assert np.array_equal(known.b, [0.5, 2.0, 3.0])
@@ -44,7 +44,7 @@ def test_entries_by_hand():
 def test_shift_is_what_delays_do(sizes):
     """Any signals, lifted: the known rows of x(k+1) = A x(k) + B u(k) hold whatever the plant."""
     p, outputs, q, inputs = sizes
-    known, lifting = Knowledge.shift(*sizes), DelayLifting(outputs, inputs)
+    known, lifting = LinearConstraints.shift(*sizes), DelayLifting(outputs, inputs)
     rng = np.random.default_rng(SEED)
     n, width = p * outputs, q * inputs
     assert known.M.shape == ((n - p) * (n + width), n * (n + width))
@@ -59,30 +59,30 @@ def test_shift_is_what_delays_do(sizes):
 
 
 def test_no_equality_at_all():
-    known = Knowledge.shift(2, 1, 1, 1)
+    known = LinearConstraints.shift(2, 1, 1, 1)
     assert (known.M.shape, known.b.shape) == ((0, 6), (0,))
-    assert np.array_equal(known.free, np.eye(6))
+    assert np.array_equal(known.null_space, np.eye(6))
     model = draw(np.random.default_rng(SEED), 2, 1)
     known.check("it", model)
     assert known.nearest(model) is model
     x, u = np.random.default_rng(0).standard_normal((3, 2)), np.ones((2, 1))
-    found = ProximalEstimator(2, knowledge=known).minimise(model, x, u).theta
+    found = ProximalEstimator(2, constraints=known).minimise(model, x, u).theta
     np.testing.assert_allclose(found, ProximalEstimator(2).minimise(model, x, u).theta, rtol=ROUNDING)
 
 
 def test_both():
-    first, second = Knowledge([[1.0, 0.0]], [2.0]), Knowledge([[1.0, 1.0]], [5.0])
+    first, second = LinearConstraints([[1.0, 0.0]], [2.0]), LinearConstraints([[1.0, 1.0]], [5.0])
     both = first & second
     assert np.array_equal(both.M, [[1.0, 0.0], [1.0, 1.0]])
     assert np.array_equal(both.b, [2.0, 5.0])
-    assert both.free.shape == (2, 0)
+    assert both.null_space.shape == (2, 0)
     np.testing.assert_allclose(both.nearest(SignalModel([[9.0]], [[9.0]])).theta, [2.0, 3.0], rtol=ROUNDING)
 
 
 def test_what_is_said_twice_is_accepted():
-    once = Knowledge([[1.0, 2.0, 0.0, 0.0, 0.0, 1.0]], [0.3])
-    twice = once & once & Knowledge(3 * once.M, 3 * once.b) & Knowledge(np.zeros((1, 6)), [0.0])
-    assert twice.free.shape == once.free.shape == (6, 5)
+    once = LinearConstraints([[1.0, 2.0, 0.0, 0.0, 0.0, 1.0]], [0.3])
+    twice = once & once & LinearConstraints(3 * once.M, 3 * once.b) & LinearConstraints(np.zeros((1, 6)), [0.0])
+    assert twice.null_space.shape == once.null_space.shape == (6, 5)
     model = draw(np.random.default_rng(SEED), 2, 1)
     np.testing.assert_allclose(twice.nearest(model).theta, once.nearest(model).theta, rtol=1e-12, atol=ROUNDING)
 
@@ -94,15 +94,15 @@ def test_nearest_satisfies_and_is_nearest(n, q, rows, exponent, seed):
     rng = np.random.default_rng(seed)
     d = n * (n + q)
     M = rng.integers(-2, 3, (min(rows, d), d)).astype(float)
-    known = Knowledge(M, M @ (10.0**exponent * rng.standard_normal(d)))
+    known = LinearConstraints(M, M @ (10.0**exponent * rng.standard_normal(d)))
     model = SignalModel.from_theta(10.0**exponent * rng.standard_normal(d), n, q)
     nearest = known.nearest(model)
     known.check("the nearest", nearest)
     # The way there is at right angles to all that is free.
-    way = known.free.T @ (nearest.theta - model.theta)
+    way = known.null_space.T @ (nearest.theta - model.theta)
     assert np.max(np.abs(way), initial=0) < 1e-12 * np.linalg.norm(model.theta)
-    np.testing.assert_allclose(known.free.T @ known.free, np.eye(known.free.shape[1]), atol=ROUNDING)
-    assert known.free.shape[1] == d - (np.linalg.matrix_rank(M) if len(M) else 0)
+    np.testing.assert_allclose(known.null_space.T @ known.null_space, np.eye(known.null_space.shape[1]), atol=ROUNDING)
+    assert known.null_space.shape[1] == d - (np.linalg.matrix_rank(M) if len(M) else 0)
 
 
 def test_an_entry_known_to_be_zero_among_other_equalities():
@@ -111,7 +111,7 @@ def test_an_entry_known_to_be_zero_among_other_equalities():
     for _ in range(20):
         M, b = rng.standard_normal((3, 6)), rng.standard_normal(3)
         M[2], b[2] = np.eye(6)[1], 0.0
-        known = Knowledge(M, b)
+        known = LinearConstraints(M, b)
         model = known.nearest(draw(rng, 2, 1))
         known.check("the nearest", model)
         off = model.theta + 1e-6 * np.eye(6)[1]
@@ -120,7 +120,7 @@ def test_an_entry_known_to_be_zero_among_other_equalities():
 
 
 def test_batches_are_checked_member_by_member():
-    known = Knowledge.entries([[NAN]], [[2.0]])
+    known = LinearConstraints.entries([[NAN]], [[2.0]])
     good = SignalModel(np.ones((3, 1, 1)), np.full((3, 1, 1), 2.0))
     known.check("all", good)
     with pytest.raises(InputError, match=r"all must satisfy .* got a violation of 1; start"):
@@ -129,7 +129,7 @@ def test_batches_are_checked_member_by_member():
 
 
 def test_frozen():
-    known = Knowledge([[1.0, 0.0]], [2.0])
+    known = LinearConstraints([[1.0, 0.0]], [2.0])
     with pytest.raises(ValueError, match="read-only"):
         known.M[0, 0] = 2.0
     with pytest.raises(AttributeError):
@@ -161,7 +161,7 @@ def test_estimate_solves_the_saddle_point_equations(scale, weights):
         c, g = (10 ** rng.uniform(-1, 1, k) if weights == "entries" else np.ones(k) for k in (m, d))
         C, G = np.diag(c), np.diag(g)
     M = rng.standard_normal((2, d))
-    known = Knowledge(M, rng.standard_normal(2))
+    known = LinearConstraints(M, rng.standard_normal(2))
     centre = known.nearest(draw(rng, n, q))
     x, u = scale * rng.standard_normal((window + 1, n)), scale * rng.standard_normal((window, q))
     s = x[:-1].ravel()
@@ -182,8 +182,10 @@ def test_estimate_solves_the_saddle_point_equations(scale, weights):
 def test_many_steps_and_mixing_keep_what_is_known(loss):
     rng = np.random.default_rng(SEED)
     M = rng.standard_normal((2, 6))
-    known = Knowledge(M, rng.standard_normal(2)) & Knowledge.entries([[NAN, NAN], [NAN, NAN]], [[0.0], [NAN]])
-    made, free = ProximalEstimator(3, loss, knowledge=known), ProximalEstimator(3, loss)
+    known = LinearConstraints(M, rng.standard_normal(2)) & LinearConstraints.entries(
+        [[NAN, NAN], [NAN, NAN]], [[0.0], [NAN]]
+    )
+    made, free = ProximalEstimator(3, loss, constraints=known), ProximalEstimator(3, loss)
     model = known.nearest(draw(rng, 2, 1))
     for _ in range(10):
         x, u = rng.standard_normal((4, 2)), rng.standard_normal((3, 1))
@@ -195,17 +197,17 @@ def test_many_steps_and_mixing_keep_what_is_known(loss):
 @pytest.mark.parametrize("loss", [WeightedSquares(), LogCosh(0.3)], ids=["closed form", "general"])
 def test_nothing_is_estimated_where_everything_is_known(loss):
     model = SignalModel([[1.0, 2.0], [3.0, 4.0]], [[5.0], [6.0]])
-    known = Knowledge.entries(model.A, model.B)
+    known = LinearConstraints.entries(model.A, model.B)
     x, u = np.random.default_rng(SEED).standard_normal((4, 2)), np.ones((3, 1))
-    assert np.array_equal(ProximalEstimator(3, loss, knowledge=known).minimise(model, x, u).theta, model.theta)
+    assert np.array_equal(ProximalEstimator(3, loss, constraints=known).minimise(model, x, u).theta, model.theta)
 
 
 def test_batches_agree_with_members():
     rng = np.random.default_rng(SEED)
-    known = Knowledge.shift(1, 2, 1, 2)
+    known = LinearConstraints.shift(1, 2, 1, 2)
     centre = known.nearest(draw(rng, 2, 2, (2, 3)))
     x, u = rng.standard_normal((2, 3, 5, 2)), rng.standard_normal((2, 3, 4, 2))
-    made = ProximalEstimator(4, knowledge=known)
+    made = ProximalEstimator(4, constraints=known)
     together = made.minimise(centre, x, u).theta
     for index in np.ndindex(2, 3):
         alone = made.minimise(SignalModel(centre.A[index], centre.B[index]), x[index], u[index]).theta
@@ -218,41 +220,53 @@ def test_batches_agree_with_members():
 @pytest.mark.parametrize(
     ("build", "sentence"),
     [
-        (lambda: Knowledge([1.0, 2.0], [1.0]), r"M and b must have shapes \(rows, .* got \(2,\) and \(1,\); give one"),
-        (lambda: Knowledge(np.eye(2), [1.0]), r"M and b must have shapes .* got \(2, 2\) and \(1,\)"),
-        (lambda: Knowledge(np.eye(2), 1.0), r"got \(2, 2\) and \(\)"),
-        (lambda: Knowledge(np.ones((1, 0)), [1.0]), r"got \(1, 0\) and \(1,\)"),
-        (lambda: Knowledge([[1.0, NAN]], [1.0]), "M must be finite, got nan"),
-        (lambda: Knowledge([[1.0, 0.0]], [np.inf]), "b must be finite, got inf"),
-        (lambda: Knowledge([["a", "b"]], [1.0]), "M must hold real numbers"),
         (
-            lambda: Knowledge([[1.0, 0.0], [2.0, 0.0]], [1.0, 3.0]),
+            lambda: LinearConstraints([1.0, 2.0], [1.0]),
+            r"M and b must have shapes \(rows, .* got \(2,\) and \(1,\); give one",
+        ),
+        (lambda: LinearConstraints(np.eye(2), [1.0]), r"M and b must have shapes .* got \(2, 2\) and \(1,\)"),
+        (lambda: LinearConstraints(np.eye(2), 1.0), r"got \(2, 2\) and \(\)"),
+        (lambda: LinearConstraints(np.ones((1, 0)), [1.0]), r"got \(1, 0\) and \(1,\)"),
+        (lambda: LinearConstraints([[1.0, NAN]], [1.0]), "M must be finite, got nan"),
+        (lambda: LinearConstraints([[1.0, 0.0]], [np.inf]), "b must be finite, got inf"),
+        (lambda: LinearConstraints([["a", "b"]], [1.0]), "M must hold real numbers"),
+        (
+            lambda: LinearConstraints([[1.0, 0.0], [2.0, 0.0]], [1.0, 3.0]),
             r"the equalities must not contradict each other, got row \d, which the others leave off by 0\.\d",
         ),
-        (lambda: Knowledge([[0.0, 0.0]], [1.0]), "must not contradict each other, got row 0, .* off by 1; take one"),
-        (lambda: Knowledge([[0.0, 0.0], [1.0, 0.0]], [1e-300, 1.0]), "must not contradict each other, got row 0"),
         (
-            lambda: Knowledge.entries([[1.0]], [[NAN]]) & Knowledge.entries([[2.0]], [[NAN]]),
+            lambda: LinearConstraints([[0.0, 0.0]], [1.0]),
+            "must not contradict each other, got row 0, .* off by 1; take one",
+        ),
+        (
+            lambda: LinearConstraints([[0.0, 0.0], [1.0, 0.0]], [1e-300, 1.0]),
+            "must not contradict each other, got row 0",
+        ),
+        (
+            lambda: LinearConstraints.entries([[1.0]], [[NAN]]) & LinearConstraints.entries([[2.0]], [[NAN]]),
             "must not contradict each other",
         ),
         (
-            lambda: Knowledge(np.eye(2), np.ones(2)) & Knowledge(np.eye(6), np.ones(6)),
+            lambda: LinearConstraints(np.eye(2), np.ones(2)) & LinearConstraints(np.eye(6), np.ones(6)),
             "both must be about models of one size, got 2 and 6 parameters",
         ),
-        (lambda: Knowledge.entries([[1.0, 2.0]], [[1.0]]), r"A and B must have shapes .* got \(1, 2\) and \(1, 1\)"),
-        (lambda: Knowledge.entries([[1.0]], [1.0]), r"got \(1, 1\) and \(1,\)"),
-        (lambda: Knowledge.entries(np.eye(2), np.ones((2, 0))), r"got \(2, 2\) and \(2, 0\)"),
-        (lambda: Knowledge.entries([["?"]], [[1.0]]), "A and B must hold numbers, NaN where unknown, got"),
-        (lambda: Knowledge.entries([[np.inf]], [[1.0]]), "b must be finite, got inf"),
-        (lambda: Knowledge.shift(0, 1, 1, 1), "p must be a whole number of at least 1, got 0"),
-        (lambda: Knowledge.shift(1, 1.5, 1, 1), "outputs must be a whole number of at least 1, got 1.5"),
         (
-            lambda: Knowledge(np.eye(6), np.ones(6)).nearest(SignalModel([[1.0]], [[1.0]])),
+            lambda: LinearConstraints.entries([[1.0, 2.0]], [[1.0]]),
+            r"A and B must have shapes .* got \(1, 2\) and \(1, 1\)",
+        ),
+        (lambda: LinearConstraints.entries([[1.0]], [1.0]), r"got \(1, 1\) and \(1,\)"),
+        (lambda: LinearConstraints.entries(np.eye(2), np.ones((2, 0))), r"got \(2, 2\) and \(2, 0\)"),
+        (lambda: LinearConstraints.entries([["?"]], [[1.0]]), "A and B must hold numbers, NaN where unknown, got"),
+        (lambda: LinearConstraints.entries([[np.inf]], [[1.0]]), "b must be finite, got inf"),
+        (lambda: LinearConstraints.shift(0, 1, 1, 1), "p must be an integer of at least 1, got 0"),
+        (lambda: LinearConstraints.shift(1, 1.5, 1, 1), "outputs must be an integer of at least 1, got 1.5"),
+        (
+            lambda: LinearConstraints(np.eye(6), np.ones(6)).nearest(SignalModel([[1.0]], [[1.0]])),
             "the model must have 6 parameters, got 2",
         ),
         (
-            lambda: Knowledge(np.eye(6), np.ones(6)).check("the plan", SignalModel([[1.0]], [[1.0]])),
-            "the knowledge must be about the 2 parameters of the plan, got 6 columns",
+            lambda: LinearConstraints(np.eye(6), np.ones(6)).check("the plan", SignalModel([[1.0]], [[1.0]])),
+            "the constraints must be about the 2 parameters of the plan, got 6 columns",
         ),
     ],
 )

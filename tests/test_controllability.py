@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_matrix, margin
+from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_margin, controllability_matrix
 from rhl.errors import InputError, LostControllabilityError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.claims.lemma_5 import crossing_pairs
 
 SEED = 2010_05891
-# Entries of the controllability matrices here are whole numbers below 1e3, exact in float64; the singular values
+# Entries of the controllability matrices here are integers below 1e3, exact in float64; the singular values
 # then carry rounding of the largest, 1e-16 times 1e3.
 ROUNDING = 1e-11
 
@@ -42,7 +42,7 @@ def test_margin_is_exact(pair):
     A, B = pair
     exact_A, exact_B = (sympy.Matrix(M.astype(int).tolist()) for M in pair)
     C = sympy.Matrix.hstack(*(exact_A**i * exact_B for i in range(len(A))))
-    found = margin(SignalModel(A, B))
+    found = controllability_margin(SignalModel(A, B))
     assert np.array_equal(controllability_matrix(SignalModel(A, B)), np.array(C.tolist(), dtype=float))
     if C.rank() < len(A):
         assert found < ROUNDING
@@ -55,10 +55,10 @@ def test_margin_is_exact(pair):
 def test_margins_of_a_batch():
     rng = np.random.default_rng(SEED)
     A, B = rng.standard_normal((4, 5, 3, 3)), rng.standard_normal((4, 5, 3, 2))
-    together = margin(SignalModel(A, B))
+    together = controllability_margin(SignalModel(A, B))
     assert together.shape == (4, 5)
     for index in np.ndindex(4, 5):
-        assert together[index] == pytest.approx(margin(SignalModel(A[index], B[index])), abs=ROUNDING)
+        assert together[index] == pytest.approx(controllability_margin(SignalModel(A[index], B[index])), abs=ROUNDING)
 
 
 # Finding of this project: y(k+1) = a y(k) + b v(k) - a b v(k-1) is controllable as a lifted pair only.
@@ -68,9 +68,9 @@ BOTH = SignalModel([[0.5]], [[2.0, 1.0]])
 
 
 def test_lifted_pair_does_not_give_the_augmented_pair():
-    assert margin(ONLY_LIFTED) > 1
-    assert margin(LIFTING.augment(ONLY_LIFTED)) < ROUNDING
-    assert margin(LIFTING.augment(BOTH)) > 0.1
+    assert controllability_margin(ONLY_LIFTED) > 1
+    assert controllability_margin(LIFTING.augment(ONLY_LIFTED)) < ROUNDING
+    assert controllability_margin(LIFTING.augment(BOTH)) > 0.1
     exact = sympy.Matrix([[sympy.Rational(1, 2), -1], [0, 0]])
     b = sympy.Matrix([2, 1])
     assert sympy.Matrix.hstack(b, exact * b).det() == 0
@@ -84,10 +84,10 @@ def test_search_keeps_the_pair_it_is_asked_for(pair, rule):
     mixed = ONLY_LIFTED.mix(BOTH, lam)
     if pair == "lifted":
         assert lam == 0
-        assert margin(LIFTING.augment(mixed)) < ROUNDING
+        assert controllability_margin(LIFTING.augment(mixed)) < ROUNDING
     else:
         assert 0 < lam < 0.9
-        assert margin(LIFTING.augment(mixed)) >= search.least_margin
+        assert controllability_margin(LIFTING.augment(mixed)) >= search.least_margin
 
 
 @pytest.mark.parametrize("rule", ["first", "best"])
@@ -138,9 +138,9 @@ def test_sharp_search_finds_the_one_good_candidate(rule):
     weights = candidates(2, 0.9, "sharp")
     for good in range(3):
         estimate, previous = adversarial(np.delete(weights, good))
-        assert margin(estimate) < ROUNDING
-        assert margin(previous) > 1e-3
-        margins = margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
+        assert controllability_margin(estimate) < ROUNDING
+        assert controllability_margin(previous) > 1e-3
+        margins = controllability_margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
         assert np.count_nonzero(margins < ROUNDING) == 2
         search = LambdaSearch("lifted", rule, count="sharp")
         assert search.choose(estimate, previous, identity) == weights[good]
@@ -166,7 +166,7 @@ def test_sharp_search_passes_crossing_pairs(n):
     search = LambdaSearch("lifted", "first", count="sharp", least_margin=1e-12)
     lam = search.choose(estimate, previous, identity)
     assert lam >= weights[n - 1]
-    assert margin(estimate.mix(previous, lam)) >= 1e-12
+    assert controllability_margin(estimate.mix(previous, lam)) >= 1e-12
 
 
 def test_counts_differ_in_what_is_tried():
@@ -199,9 +199,9 @@ def test_roots_on_the_first_candidates(count):
     # Mixed by lambda, the links are 1 - lambda / root and, for the last, lambda.
     estimate = chain([*np.ones(count), 0.0])
     previous = chain([*(1 - 1 / weights[:count]), 1.0])
-    margins = margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
+    margins = controllability_margin(SignalModel(estimate.A[None], estimate.B[None]).mix(previous, weights))
     assert np.max(margins[:count]) < ROUNDING
-    assert margin(estimate) == 0
+    assert controllability_margin(estimate) == 0
     least = margins[count]
     assert least > 1e-6
     first = LambdaSearch("lifted", "first", least_margin=least).choose(estimate, previous, identity)
@@ -268,7 +268,7 @@ def test_constant_mixing():
         (lambda: LambdaSearch(lambda_max=1.0), r"lambda_max must be a number in \[0, 1\), got 1\.0"),
         (lambda: LambdaSearch(lambda_max=0.0), r"lambda_max must be a positive finite number, got 0\.0"),
         (lambda: LambdaSearch(least_margin=0), "least_margin must be a positive finite number, got 0"),
-        (lambda: candidates(0, 0.9), "n must be a whole number of at least 1, got 0"),
+        (lambda: candidates(0, 0.9), "n must be an integer of at least 1, got 0"),
     ],
 )
 def test_refused(build, sentence):

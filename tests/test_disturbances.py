@@ -80,7 +80,7 @@ def test_signals_are_left_alone(sensor):
     assert np.array_equal(y, np.ones((4, 2)))
 
 
-# Through an instrument of the user's own
+# Through a disturbance of the user's own
 
 
 def test_through():
@@ -89,15 +89,23 @@ def test_through():
     assert np.array_equal(through("sensor", lambda k, y: (k * y).tolist(), 3, signal), 3 * signal)
 
 
+def test_through_a_tuple_in_order():
+    signal, twice, less = np.array([1.0, 2.0]), lambda k, y: 2 * y, lambda k, y: y - k
+    assert through("sensor", (), 3, signal) is signal
+    assert np.array_equal(through("sensor", (twice, less), 3, signal), 2 * signal - 3)
+    assert np.array_equal(through("sensor", (less, twice), 3, signal), 2 * (signal - 3))
+
+
 def fails(k, y):
     raise KeyError("drift")
 
 
 @pytest.mark.parametrize(
-    ("instrument", "sentence"),
+    ("disturbance", "sentence"),
     [
         (fails, r"the sensor must take \(k, signal\) with a signal of shape \(2,\), got KeyError: 'drift'"),
         (lambda y: y, r"the sensor must take \(k, signal\) .* got TypeError: .* takes 1 positional argument"),
+        ((Saturation(-1.0, 1.0), fails), r"the sensor must take \(k, signal\) .* got KeyError: 'drift'"),
         (3.0, r"the sensor must take \(k, signal\) .* got TypeError: 'float' object is not callable"),
         (lambda k, y: y[:1], r"the sensor must return the shape that it is given, \(2,\), got \(1,\)"),
         (lambda k, y: 1.0, r"the sensor must return the shape that it is given, \(2,\), got \(\)"),
@@ -109,9 +117,9 @@ def fails(k, y):
         (Saturation([0.0] * 3, 1.0), r"got ValueError: operands could not be broadcast"),
     ],
 )
-def test_own_instruments_refused(instrument, sentence):
+def test_own_disturbances_refused(disturbance, sentence):
     with pytest.raises(InputError, match=sentence):
-        through("sensor", instrument, 5, np.ones(2))
+        through("sensor", disturbance, 5, np.ones(2))
 
 
 def test_noise_for_other_outputs_is_refused():
@@ -131,12 +139,12 @@ def test_noise_for_other_outputs_is_refused():
         (lambda: GaussianNoise(-1.0, 0), "std must be a number, or one for each output, of at least 0, got -1.0"),
         (lambda: GaussianNoise([[1.0]], 0), "std must be a number, or one for each output"),
         (lambda: GaussianNoise(np.nan, 0), "std must be finite, got nan"),
-        (lambda: GaussianNoise(1.0, -1), "seed must be a whole number of at least 0, got -1"),
-        (lambda: GaussianNoise(1.0, 1.5), "seed must be a whole number of at least 0, got 1.5"),
+        (lambda: GaussianNoise(1.0, -1), "seed must be an integer of at least 0, got -1"),
+        (lambda: GaussianNoise(1.0, 1.5), "seed must be an integer of at least 0, got 1.5"),
         (lambda: Outliers(1.0, 1.0, 0), r"rate must be a number in \[0, 1\), got 1.0"),
         (lambda: Outliers(-0.1, 1.0, 0), r"rate must be a number in \[0, 1\), got -0.1"),
         (lambda: Outliers(0.1, 0.0, 0), "size must be a positive finite number, got 0.0"),
-        (lambda: Outliers(0.1, 1.0, None), "seed must be a whole number of at least 0, got None"),
+        (lambda: Outliers(0.1, 1.0, None), "seed must be an integer of at least 0, got None"),
     ],
 )
 def test_refused(build, sentence):

@@ -180,7 +180,7 @@ def test_batches_agree_with_members(weighted):
 @pytest.mark.parametrize(
     ("act", "sentence"),
     [
-        (lambda e, c, x, u: ProximalEstimator(0), "window must be a whole number of at least 1, got 0"),
+        (lambda e, c, x, u: ProximalEstimator(0), "window must be an integer of at least 1, got 0"),
         (lambda e, c, x, u: e.minimise(c, x[:-1], u), r"x and u must have shapes \(6, 3\) and \(5, 2\), got \(5, 3\)"),
         (lambda e, c, x, u: e.minimise(c, x, u[:, :1]), r"got \(6, 3\) and \(5, 1\)"),
         (

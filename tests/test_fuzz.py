@@ -23,20 +23,20 @@ from rhl.app import cli
 from rhl.app.config import keys, parse, template
 from rhl.app.diagnosis import Finding, diagnose
 from rhl.basis import Features, Polynomials, Terms
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.disturbances import GaussianNoise, Outliers, Saturation
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1, solve
 from rhl.lifting import DelayLifting
-from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, divergence
+from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.published import compare_robot, curve, linear_example
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.analysis import linearise, rough_model, stabilizability
-from rhl.plants.examples import CartPendulum, flexible_shaft, ready
-from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, epsilon_at
+from rhl.plants.examples import CartPendulum, example, flexible_shaft
+from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.simulation import Trace
 from tests.app.test_config import ARM, LINEAR
 from tests.bad_input import faults, listing
@@ -95,7 +95,6 @@ ANYTHING = st.one_of(
 )
 CALLS = {
     "Polynomials": Polynomials,
-    "products": lambda v: Polynomials(2, v),
     "Terms": Terms,
     "term": lambda v: Terms((v,)),
     "Features": lambda v: Features(v, 1),
@@ -104,19 +103,19 @@ CALLS = {
     "LogCosh": LogCosh,
     "PseudoHuber": lambda v: PseudoHuber(1.0, v),
     "Entropy": Entropy,
-    "Own": lambda v: Own(v, v, v),
-    "lower": lambda v: Own(abs, abs, lower=v),
+    "CustomLoss": lambda v: CustomLoss(v, v, v),
+    "lower": lambda v: CustomLoss(abs, abs, lower=v),
     "Varying": Varying,
     "divergence": lambda v: divergence(v, [1.0], [1.0]),
     "points": lambda v: divergence(WeightedSquares(), v, [1.0]),
-    "Knowledge": lambda v: Knowledge(v, [1.0]),
-    "b": lambda v: Knowledge([[1.0]], v),
-    "entries": lambda v: Knowledge.entries(v, [[1.0]]),
+    "LinearConstraints": lambda v: LinearConstraints(v, [1.0]),
+    "b": lambda v: LinearConstraints([[1.0]], v),
+    "entries": lambda v: LinearConstraints.entries(v, [[1.0]]),
     "&": lambda v: KNOWN & v,
     "nearest": KNOWN.nearest,
     "estimator": ProximalEstimator,
     "loss": lambda v: ProximalEstimator(2, v),
-    "knows": lambda v: replace(ESTIMATOR, knowledge=v),
+    "knows": lambda v: replace(ESTIMATOR, constraints=v),
     "generator": lambda v: ProximalEstimator(2, generator=v),
     "x": lambda v: ESTIMATOR.minimise(ONE, v, np.ones((2, 1))),
     "ConstantMixing": ConstantMixing,
@@ -133,7 +132,7 @@ CALLS = {
     "RobotArm": RobotArm,
     "arm": lambda v: RobotArm().step(v, [1.0]),
     "from_control": LinearPlant.from_control,
-    "ready": ready,
+    "example": example,
     "CartPendulum": CartPendulum,
     "h": flexible_shaft,
     "linearise": linearise,
@@ -147,7 +146,7 @@ CALLS = {
     "Saturation": lambda v: Saturation(v, 1.0),
     "GaussianNoise": lambda v: GaussianNoise(v, 0),
     "Outliers": lambda v: Outliers(v, 1.0, 0),
-    "HarmonicDecay": HarmonicDecay,
+    "rate of PowerDecay": PowerDecay,
     "PowerDecay": lambda v: PowerDecay(1.0, v),
     "ExponentialDecay": ExponentialDecay,
     "Constant": Constant,

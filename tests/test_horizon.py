@@ -10,7 +10,7 @@ from rhl._riccati import cost_step
 from rhl.errors import InfeasibleError, InputError
 from rhl.horizon import V1, V2, V3, solve
 from rhl.model import PredictorMaps, SignalModel
-from rhl.paper.published import fed_back, linear_example
+from rhl.paper.published import linear_example, replay_published
 from tests import oracle
 
 SEED = 2010_05891
@@ -52,7 +52,7 @@ def pair(rng, n, q, radius, coupling=None):
 
 
 def hidden_uncontrollable(rng, n, q, steerable, unsteerable=None):
-    """An exactly uncontrollable model of small whole numbers, its structure hidden by a unimodular transformation."""
+    """An exactly uncontrollable model of small integers, its structure hidden by a unimodular transformation."""
     A = rng.integers(-1, 2, (n, n)).astype(float)
     B = rng.integers(-2, 3, (n, q)).astype(float)
     A[steerable:, :steerable] = 0
@@ -78,7 +78,7 @@ def published_problems():
     return [(f"{name}-{done.k}", done) for name, run in RUNS.items() for done in run.steps]
 
 
-RUNS = {"fed-back": fed_back(), "free": linear_example().run()}
+RUNS = {"fed-back": replay_published(), "free": linear_example().run()}
 
 
 def published_answer(done):
@@ -622,7 +622,7 @@ MODEL = SignalModel([[1.0, 1.0], [0.0, 1.0]], [[0.0], [1.0]])
         (lambda: V1(MODEL, 1.0, 1.0, [[1.0, 2.0], [0.0, 1.0]], 1.0, 3), "QN must be symmetric"),
         (lambda: V1(MODEL, 1.0, 1.0, 1.0, -1.0, 3), r"weight must be nonnegative, got -1\.0"),
         (lambda: V1(MODEL, 1.0, 1.0, 1.0, np.nan, 3), "weight must be finite"),
-        (lambda: V1(MODEL, 1.0, 1.0, 1.0, 1.0, 0), "horizon must be a whole number of at least 1, got 0"),
+        (lambda: V1(MODEL, 1.0, 1.0, 1.0, 1.0, 0), "horizon must be an integer of at least 1, got 0"),
         (lambda: V1(MODEL.predictor(4), 1.0, 1.0, 1.0, 1.0, 3), "horizon must be that of the predictor maps, 4, got 3"),
         (lambda: V2(MODEL, -1.0, 3), "QN must be positive definite"),
         (lambda: V3(MODEL, 1.0, 1.0, [0.0, 0.0, 0.0], 3), r"r must have shape \(2,\), got \(3,\)"),

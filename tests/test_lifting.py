@@ -184,9 +184,9 @@ def test_carlemans_embedding_of_the_papers_example():
         (lambda: DelayLifting(1, 1, 2), "basis must be Polynomials, Terms, Features or None, got 2"),
         (lambda: DelayLifting(2, 1, Terms(("y2",))).size(1), "'y2' must use outputs y1 to y1 with delays up to 1"),
         (lambda: DelayLifting(2, 1).output_size(3), "an order that is a multiple of outputs = 2, got 3"),
-        (lambda: DelayLifting(0, 1), "outputs must be a whole number of at least 1, got 0"),
-        (lambda: DelayLifting(1, 0), "inputs must be a whole number of at least 1, got 0"),
-        (lambda: DelayLifting(1.5, 1), "outputs must be a whole number of at least 1, got 1.5"),
+        (lambda: DelayLifting(0, 1), "outputs must be an integer of at least 1, got 0"),
+        (lambda: DelayLifting(1, 0), "inputs must be an integer of at least 1, got 0"),
+        (lambda: DelayLifting(1.5, 1), "outputs must be an integer of at least 1, got 1.5"),
         (
             lambda: DelayLifting(1, 2).augment(SignalModel(np.eye(2), np.ones((2, 3)))),
             r"the model's input size must be a multiple of inputs = 2, which u stacks, got 3",

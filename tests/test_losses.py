@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from rhl.errors import InputError
-from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares, convex, divergence
+from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, convex, divergence
 
 EPS = np.finfo(float).eps
 # A handful of operations, each within an ulp.
@@ -192,9 +192,9 @@ GENERATORS = {
     "log-cosh": LogCosh(0.7, [1.0, 2.0, 0.5]),
     "pseudo-huber": PseudoHuber(0.7, [1.0, 2.0, 0.5]),
     "entropy": Entropy([1.0, 2.0, 0.5]),
-    "own": Own(lambda x: x @ x + np.sum(np.exp(x)), lambda x: 2 * x + np.exp(x), lambda x: 2 + np.exp(x)),
-    "own-differences": Own(lambda x: x @ x + np.sum(np.exp(x)), lambda x: 2 * x + np.exp(x)),
-    "own-matrix": Own(
+    "own": CustomLoss(lambda x: x @ x + np.sum(np.exp(x)), lambda x: 2 * x + np.exp(x), lambda x: 2 + np.exp(x)),
+    "own-differences": CustomLoss(lambda x: x @ x + np.sum(np.exp(x)), lambda x: 2 * x + np.exp(x)),
+    "own-matrix": CustomLoss(
         lambda x: x @ x + np.log(np.sum(np.exp(x))),
         lambda x: 2 * x + np.exp(x) / np.sum(np.exp(x)),
     ),
@@ -241,7 +241,7 @@ def test_differences_of_the_gradient(differing):
 
 def test_differences_stay_inside_the_domain():
     """Forward only: x log x has no value left of zero, and its slope bends by 1/x."""
-    g = Own(lambda x: np.sum(x * np.log(x)), lambda x: 1 + np.log(x), lower=0.0)
+    g = CustomLoss(lambda x: np.sum(x * np.log(x)), lambda x: 1 + np.log(x), lower=0.0)
     x = np.array([0.01, 1.0, 50.0])
     np.testing.assert_allclose(g.hessian(x), np.diag(1 / x), rtol=1e-5, atol=1e-7)
     assert g.hessian(np.array([2.0])).shape == (1, 1)
@@ -249,7 +249,7 @@ def test_differences_stay_inside_the_domain():
 
 def test_own_has_no_value_outside_its_domain():
     called = []
-    g = Own(lambda x: called.append(x) or 1.0, lambda x: x, lower=0.0)
+    g = CustomLoss(lambda x: called.append(x) or 1.0, lambda x: x, lower=0.0)
     assert np.array_equal(g.value(np.array([[1.0, 2.0], [0.0, 1.0], [-1.0, 1.0]])), [1.0, np.inf, np.inf])
     assert len(called) == 1
 
@@ -277,7 +277,7 @@ def test_declared_convexity_in_the_second_argument(g):
     elif g.convex_in_second is False:
         assert in_second(g) > 1e-2
     else:
-        assert isinstance(g, Own)
+        assert isinstance(g, CustomLoss)
 
 
 def monotone(g):
@@ -289,7 +289,7 @@ def monotone(g):
 @named
 def test_declared_strict_convexity(g):
     if g.assumption_6 is None:
-        assert isinstance(g, Own)
+        assert isinstance(g, CustomLoss)
     else:
         assert g.assumption_6
         assert monotone(g) > 0
@@ -299,7 +299,7 @@ def test_declared_strict_convexity(g):
 
 
 def test_samples_find_what_is_not_convex():
-    wavy = Own(lambda x: np.sum(x**2 / 4 + np.cos(x)), lambda x: x / 2 - np.sin(x), lambda x: 0.5 - np.cos(x))
+    wavy = CustomLoss(lambda x: np.sum(x**2 / 4 + np.cos(x)), lambda x: x / 2 - np.sin(x), lambda x: 0.5 - np.cos(x))
     assert monotone(wavy) < -0.1
     assert in_second(wavy) > 1e-2
 
@@ -351,7 +351,7 @@ def silent(x):
 
 
 def own(**changes):
-    return Own(**{"of": lambda x: x @ x, "slope": lambda x: 2 * x, "name": "mine"} | changes)
+    return CustomLoss(**{"value": lambda x: x @ x, "gradient": lambda x: 2 * x, "name": "mine"} | changes)
 
 
 X = np.array([1.0, 2.0])
@@ -360,35 +360,38 @@ X = np.array([1.0, 2.0])
 @pytest.mark.parametrize(
     ("act", "sentence"),
     [
-        (lambda: own(of=3.0), "of must be a function of x, got 3.0"),
-        (lambda: own(slope=None), "slope must be a function of x, got None"),
-        (lambda: own(curvature="2"), "curvature must be a function of x, got '2'"),
+        (lambda: own(value=3.0), "value must be a function of x, got 3.0"),
+        (lambda: own(gradient=None), "gradient must be a function of x, got None"),
+        (lambda: own(hessian="2"), "hessian must be a function of x, got '2'"),
         (lambda: own(lower=np.nan), "lower must be a number or -inf, got nan"),
         (lambda: own(lower=np.inf), "lower must be a number or -inf, got inf"),
         (lambda: own(lower=True), "lower must be a number or -inf, got True"),
         (lambda: own(lower="0"), "lower must be a number or -inf, got '0'"),
         (
-            lambda: own(of=fails).value(X),
-            r"mine's function 'of' must take x of shape \(2,\) and return real numbers, got KeyError: 'gain'; call it",
+            lambda: own(value=fails).value(X),
+            r"mine's function 'value' must take x of shape \(2,\) and return real numbers, got KeyError: 'gain'; ",
         ),
-        (lambda: own(of=silent).value(X), "got RuntimeError; call it"),
+        (lambda: own(value=silent).value(X), "got RuntimeError; call it"),
         (
-            lambda: own(of=lambda x: 1j).value(X),
-            "'of' must take .* got TypeError: real numbers are needed, not complex",
+            lambda: own(value=lambda x: 1j).value(X),
+            "'value' must take .* got TypeError: real numbers are needed, not complex",
         ),
-        (lambda: own(of=lambda x: np.complex128(1)).value(X), "real numbers are needed, not complex numbers"),
-        (lambda: own(of=lambda x: "3").value(X), "real numbers are needed, not '3'"),
-        (lambda: own(of=lambda x: None).value(X), "'of' must take x .* got TypeError: .* 'NoneType'"),
-        (lambda: own(of=lambda x: x).value(X), r"mine's function 'of' must return shape \(\), got \(2,\)"),
-        (lambda: own(of=lambda x: np.nan).value(X), r"'of' must return finite numbers in its domain, got \[nan\] at x"),
-        (lambda: own(slope=lambda x: x[:1]).gradient(X), r"'slope' must return shape \(2,\), got \(1,\)"),
-        (lambda: own(slope=lambda x: x * np.inf).gradient(X), r"entries from 1 to 2; set lower where the domain is"),
-        (lambda: own(curvature=fails).hessian(X), "'curvature' must take x .* got KeyError"),
+        (lambda: own(value=lambda x: np.complex128(1)).value(X), "real numbers are needed, not complex numbers"),
+        (lambda: own(value=lambda x: "3").value(X), "real numbers are needed, not '3'"),
+        (lambda: own(value=lambda x: None).value(X), "'value' must take x .* got TypeError: .* 'NoneType'"),
+        (lambda: own(value=lambda x: x).value(X), r"mine's function 'value' must return shape \(\), got \(2,\)"),
         (
-            lambda: own(curvature=lambda x: np.ones((1, 2))).hessian(X),
-            r"'curvature' must return shape \(2,\) or \(2, 2\), got \(1, 2\)",
+            lambda: own(value=lambda x: np.nan).value(X),
+            r"'value' must return finite numbers in its domain, got \[nan\] at x",
         ),
-        (lambda: own(curvature=lambda x: x * np.nan).hessian(X), "'curvature' must return finite numbers"),
+        (lambda: own(gradient=lambda x: x[:1]).gradient(X), r"'gradient' must return shape \(2,\), got \(1,\)"),
+        (lambda: own(gradient=lambda x: x * np.inf).gradient(X), r"entries from 1 to 2; set lower where the domain is"),
+        (lambda: own(hessian=fails).hessian(X), "'hessian' must take x .* got KeyError"),
+        (
+            lambda: own(hessian=lambda x: np.ones((1, 2))).hessian(X),
+            r"'hessian' must return shape \(2,\) or \(2, 2\), got \(1, 2\)",
+        ),
+        (lambda: own(hessian=lambda x: x * np.nan).hessian(X), "'hessian' must return finite numbers"),
         (lambda: LogCosh(0.0), "scale must be a positive finite number, got 0.0"),
         (lambda: PseudoHuber(np.inf), "scale must be a positive finite number, got inf"),
         (lambda: LogCosh(1.0, np.eye(2)), r"weight must be positive, one number or shape \(d,\), got shape \(2, 2\)"),
@@ -410,7 +413,7 @@ def test_refused_of_every_kind(act, sentence):
 
 def test_own_takes_what_holds_numbers():
     """A list, an integer, a number of extended precision."""
-    g = own(of=lambda x: mpmath.mpf(3), slope=lambda x: [1, 2], curvature=lambda x: [[2, 0], [0, 2]])
+    g = own(value=lambda x: mpmath.mpf(3), gradient=lambda x: [1, 2], hessian=lambda x: [[2, 0], [0, 2]])
     assert g.value(X) == 3
     assert np.array_equal(g.gradient(X), [1.0, 2.0])
     assert np.array_equal(g.hessian(np.stack([X, X])), [2 * np.eye(2)] * 2)

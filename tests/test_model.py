@@ -124,9 +124,9 @@ def test_mix(model, rng):
         (lambda: SignalModel(np.eye(2) * np.nan, np.ones((2, 1))), "A must be finite, got nan"),
         (lambda: SignalModel(np.ones((3, 2, 2)), np.ones((4, 2, 1))), "leading batch axes must broadcast together"),
         (lambda: SignalModel.from_theta(np.ones(5), 2, 1), r"theta must have shape \(6,\), got \(5,\)"),
-        (lambda: SignalModel.from_theta(np.ones(6), 0, 1), "n must be a whole number of at least 1, got 0"),
+        (lambda: SignalModel.from_theta(np.ones(6), 0, 1), "n must be an integer of at least 1, got 0"),
         (lambda: SignalModel.companion_of_ones(2, 1, "zeros"), "inputs must be one of last-row-of-ones, eye-last"),
-        (lambda: SignalModel(np.eye(2), np.ones((2, 1))).predictor(0), "horizon must be a whole number of at least 1"),
+        (lambda: SignalModel(np.eye(2), np.ones((2, 1))).predictor(0), "horizon must be an integer of at least 1"),
         (lambda: SignalModel(1e200 * np.eye(2), np.ones((2, 1))).predictor(2), "A must be finite, got inf"),
         (
             lambda: PredictorMaps(np.ones((1, 2, 2)), np.ones((1, 2, 1))),

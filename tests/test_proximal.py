@@ -11,10 +11,10 @@ from scipy.optimize import lsq_linear
 
 from rhl import _proximal
 from rhl._proximal import Proximal, quadratic, regression
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.estimator import ProximalEstimator
-from rhl.losses import Entropy, LogCosh, Own, PseudoHuber, Varying, WeightedSquares
+from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares
 from rhl.model import SignalModel
 from tests import oracle
 
@@ -31,7 +31,7 @@ SCALES = [1e-160, 1e-50, 1e-8, 1e-4, 1.0, 1e4, 1e8]
 def squares(weight=1.0):
     """Weighted squares that the estimator does not know to be squares."""
     g = WeightedSquares(weight)
-    return Own(g.value, g.gradient, g.hessian, -np.inf, True, True, "squares")
+    return CustomLoss(g.value, g.gradient, g.hessian, -np.inf, True, True, "squares")
 
 
 def case(rng, n, q, window, scale=1.0, lead=()):
@@ -49,9 +49,9 @@ def spd(rng, size):
     return np.eye(size) + root @ root.T / size
 
 
-def some_knowledge(rng, n, q):
+def some_constraints(rng, n, q):
     rows = max(1, n * (n + q) // 3)
-    return Knowledge(rng.standard_normal((rows, n * (n + q))), rng.standard_normal(rows))
+    return LinearConstraints(rng.standard_normal((rows, n * (n + q))), rng.standard_normal(rows))
 
 
 # In lockstep with the closed form
@@ -71,17 +71,17 @@ def test_general_solver_is_the_closed_form(scale, weights, known):
             "matrices": lambda size: spd(rng, size),  # noqa: B023
         }[weights]
         c, g = draw(window * n), draw(n * (n + q))
-        knowledge = some_knowledge(rng, n, q) if known else None
-        centre = knowledge.nearest(centre) if knowledge else centre
-        closed = ProximalEstimator(window, WeightedSquares(c), WeightedSquares(g), knowledge)
-        general = ProximalEstimator(window, squares(c), squares(g), knowledge)
+        constraints = some_constraints(rng, n, q) if known else None
+        centre = constraints.nearest(centre) if constraints else centre
+        closed = ProximalEstimator(window, WeightedSquares(c), WeightedSquares(g), constraints)
+        general = ProximalEstimator(window, squares(c), squares(g), constraints)
         expected = closed.minimise(centre, x, u).theta
         worst = max(worst, apart(general.minimise(centre, x, u).theta, expected))
         if scale > 1e-3:
-            # The control: the weights, and the knowledge, make a difference.
-            other = ProximalEstimator(window, WeightedSquares(3 * np.asarray(c)), WeightedSquares(g), knowledge)
+            # The control: the weights, and the constraints, make a difference.
+            other = ProximalEstimator(window, WeightedSquares(3 * np.asarray(c)), WeightedSquares(g), constraints)
             assert scale > 1 or apart(other.minimise(centre, x, u).theta, expected) > 1e-4
-            if knowledge:
+            if constraints:
                 free = ProximalEstimator(window, WeightedSquares(c), WeightedSquares(g))
                 assert apart(free.minimise(centre, x, u).theta, expected) > 1e-4
     assert worst < LOCKSTEP
@@ -109,7 +109,7 @@ def test_hessians_by_differences_give_the_same_answer():
     rng = np.random.default_rng(SEED)
     centre, x, u = case(rng, 2, 1, 3)
     g = WeightedSquares()
-    own = Own(g.value, g.gradient, assumption_6=True, convex_in_second=True)
+    own = CustomLoss(g.value, g.gradient, assumption_6=True, convex_in_second=True)
     found = ProximalEstimator(3, own, own).minimise(centre, x, u).theta
     assert apart(found, ProximalEstimator(3).minimise(centre, x, u).theta) < 1e-12
 
@@ -189,11 +189,11 @@ PAIRS = [
 ]
 
 
-def estimator(window, c, g, knowledge=None):
+def estimator(window, c, g, constraints=None):
     if g.convex_in_second:
-        return ProximalEstimator(window, c, g, knowledge)
+        return ProximalEstimator(window, c, g, constraints)
     with pytest.warns(AssumptionWarning, match="Lemma 4"):
-        return ProximalEstimator(window, c, g, knowledge)
+        return ProximalEstimator(window, c, g, constraints)
 
 
 def inside(g, centre):
@@ -215,7 +215,7 @@ def test_against_many_digits(pair):
         exact, made = newton(c, g, centre, x, u), estimator(window, c, g)
         found = made.minimise(centre, x, u)
         assert oracle.relative_error(found.theta, exact) < AGREES
-        assert made.distance(found, centre, x, u) < 1e-13
+        assert made.newton_decrement(found, centre, x, u) < 1e-13
         # The control: the squares' answer is another.
         other = ProximalEstimator(window).minimise(centre, x, u).theta
         assert oracle.relative_error(other, exact) > 1e-4
@@ -229,18 +229,18 @@ def test_general_solver_keeps_what_is_known(pair):
     centre, x, u = case(rng, 2, 1, 3)
     centre = inside(g, centre)
     M = rng.standard_normal((2, 6))
-    knowledge = Knowledge(M, M @ centre.theta)
-    made = estimator(3, c, g, knowledge)
+    constraints = LinearConstraints(M, M @ centre.theta)
+    made = estimator(3, c, g, constraints)
     found = made.minimise(centre, x, u)
-    assert np.max(np.abs(M @ found.theta - knowledge.b)) < 1e-13
+    assert np.max(np.abs(M @ found.theta - constraints.b)) < 1e-13
     s, R = regression(x, u)
-    problem = Proximal(s, R, c, g, centre.theta, knowledge.free)
-    assert np.max(np.abs(knowledge.free.T @ problem.gradient(found.theta))) < 1e-12
+    problem = Proximal(s, R, c, g, centre.theta, constraints.null_space)
+    assert np.max(np.abs(constraints.null_space.T @ problem.gradient(found.theta))) < 1e-12
     assert np.max(np.abs(problem.gradient(found.theta))) > 1e-3
-    for direction in knowledge.free.T:
+    for direction in constraints.null_space.T:
         for way in (-1e-3, 1e-3):
             assert problem.value(found.theta + way * direction) > problem.value(found.theta)
-    assert np.max(np.abs(M @ estimator(3, c, g).minimise(centre, x, u).theta - knowledge.b)) > 1e-3
+    assert np.max(np.abs(M @ estimator(3, c, g).minimise(centre, x, u).theta - constraints.b)) > 1e-3
 
 
 # Far beyond the loss's scale
@@ -265,7 +265,7 @@ def test_sharp_valleys(kind, data, scale, seed):
     expected = least_absolute(s, R, centre.theta, 1 / data)
     found = made.minimise(centre, x, u)
     assert apart(found.theta, expected) < 1e-4
-    assert made.distance(found, centre, x, u) < 1e-12
+    assert made.newton_decrement(found, centre, x, u) < 1e-12
     assert apart(centre.theta, expected) > 0.1
     assert apart(ProximalEstimator(2).minimise(centre, x, u).theta, expected) > 1e-3
 
@@ -290,7 +290,7 @@ def test_softened_losses_lead_into_the_valley(softened):
     assert len(softened) > 10
     assert softened[-1] == 1
     assert softened == sorted(softened)
-    assert sharp.distance(found, centre, x, u) < 1e-12
+    assert sharp.newton_decrement(found, centre, x, u) < 1e-12
     softened.clear()
     ProximalEstimator(3, LogCosh(1e6)).minimise(centre, x, u)
     assert not softened
@@ -316,8 +316,8 @@ def test_certificate_is_the_distance_where_everything_is_quadratic(share):
     theta = made.minimise(centre, x, u).theta
     off = theta + share * rng.standard_normal(6)
     true = np.sqrt((off - theta) @ G @ (off - theta) / (off @ G @ off))
-    assert made.distance(SignalModel.from_theta(off, 2, 1), centre, x, u) == pytest.approx(true, rel=1e-3)
-    assert made.distance(SignalModel.from_theta(theta, 2, 1), centre, x, u) < 1e-14
+    assert made.newton_decrement(SignalModel.from_theta(off, 2, 1), centre, x, u) == pytest.approx(true, rel=1e-3)
+    assert made.newton_decrement(SignalModel.from_theta(theta, 2, 1), centre, x, u) < 1e-14
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=name)
@@ -326,10 +326,10 @@ def test_certificate_of_answers_and_of_others(pair):
     centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3)
     centre, made = inside(g, centre), estimator(3, c, g)
     theta = made.minimise(centre, x, u).theta
-    assert made.distance(SignalModel.from_theta(theta, 2, 1), centre, x, u) < 1e-13
+    assert made.newton_decrement(SignalModel.from_theta(theta, 2, 1), centre, x, u) < 1e-13
     for share in (1e-9, 1e-6, 1e-3):
         off = SignalModel.from_theta(theta * (1 + share), 2, 1)
-        assert 0.2 * share < made.distance(off, centre, x, u) < 5 * share
+        assert 0.2 * share < made.newton_decrement(off, centre, x, u) < 5 * share
 
 
 def test_certificate_is_not_deceived_by_a_kink():
@@ -338,7 +338,7 @@ def test_certificate_is_not_deceived_by_a_kink():
     problem = Proximal(np.array([10.0]), R, sharp, WeightedSquares(), np.zeros(2), np.eye(2))
     kink = np.array([10.0, 0.0])
     assert problem.newton(kink)[0] < 1e-7
-    assert problem.distance(kink) > 0.05
+    assert problem.newton_decrement(kink) > 0.05
     # The loss pulls with 2, the generator with 2 theta.
     np.testing.assert_allclose(problem.solve(), [1.0, 0.0], atol=1e-9)
 
@@ -346,7 +346,7 @@ def test_certificate_is_not_deceived_by_a_kink():
 def test_an_answer_that_misses_the_certificate_is_not_given(monkeypatch):
     centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3, 1e3)
     made = ProximalEstimator(3, LogCosh(1.0))
-    assert made.distance(made.minimise(centre, x, u), centre, x, u) < 1e-12
+    assert made.newton_decrement(made.minimise(centre, x, u), centre, x, u) < 1e-12
     monkeypatch.setattr(_proximal, "_ITERATIONS", 1)
     monkeypatch.setattr(_proximal, "_POLISHES", 0)
     monkeypatch.setattr(_proximal, "_MOST_HALVINGS", 0)
@@ -356,9 +356,9 @@ def test_an_answer_that_misses_the_certificate_is_not_given(monkeypatch):
 
 def test_a_loss_that_is_not_convex_is_not_solved():
     """Its curvature is negative everywhere near, so that no answer can be certified."""
-    c = Own(lambda e: -50 * e @ e, lambda e: -100 * e, lambda e: -100 + 0 * e, assumption_6=True)
+    c = CustomLoss(lambda e: -50 * e @ e, lambda e: -100 * e, lambda e: -100 + 0 * e, assumption_6=True)
     centre, x, u = case(np.random.default_rng(SEED), 1, 1, 2)
-    with pytest.raises(NotSolvedError, match="Own has negative curvature, so it is not convex"):
+    with pytest.raises(NotSolvedError, match="CustomLoss has negative curvature, so it is not convex"):
         ProximalEstimator(2, c).minimise(centre, x, u)
 
 
@@ -367,7 +367,7 @@ def test_a_loss_that_is_not_convex_is_not_solved():
 
 def counted(function):
     calls = []
-    own = Own(
+    own = CustomLoss(
         lambda x: calls.append(1) or function.value(x),
         function.gradient,
         function.hessian,
@@ -413,7 +413,7 @@ def test_batches_agree_with_members(pair):
     centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3, lead=(2, 3))
     centre, made = inside(g, centre), estimator(3, c, g)
     together = made.minimise(centre, x, u)
-    certified = made.distance(together, centre, x, u)
+    certified = made.newton_decrement(together, centre, x, u)
     assert (together.A.shape, certified.shape) == ((2, 3, 2, 2), (2, 3))
     for index in np.ndindex(2, 3):
         alone = made.minimise(SignalModel(centre.A[index], centre.B[index]), x[index], u[index])
@@ -432,11 +432,15 @@ def test_varying_losses_are_those_of_each_step():
         alone = ProximalEstimator(3, c)
         assert np.array_equal(found[k], alone.minimise(centre, x, u).theta)
         model = SignalModel.from_theta(found[k], 2, 1)
-        assert varying.distance(model, centre, x, u, k) < 1e-13 < varying.distance(model, centre, x, u, (k + 1) % 3)
+        assert (
+            varying.newton_decrement(model, centre, x, u, k)
+            < 1e-13
+            < varying.newton_decrement(model, centre, x, u, (k + 1) % 3)
+        )
 
 
 def unknown(**facts):
-    return Own(lambda x: x @ x, lambda x: 2 * x, **facts, name="mine")
+    return CustomLoss(lambda x: x @ x, lambda x: 2 * x, **facts, name="mine")
 
 
 @pytest.mark.parametrize(
@@ -497,14 +501,19 @@ class Half:
         (lambda c, x, u: ProximalEstimator(3, Half()), "loss must be a loss or generator .* without hessian"),
         (lambda c, x, u: ProximalEstimator(3, generator=2.0), "generator must be a loss .* got 2.0 without value"),
         (lambda c, x, u: ProximalEstimator(3, generator=Varying(lambda k: 1)), "generator must be .* without value"),
-        (lambda c, x, u: ProximalEstimator(3, knowledge=np.eye(6)), "knowledge must be a Knowledge or None, got array"),
         (
-            lambda c, x, u: ProximalEstimator(3, knowledge=Knowledge(np.eye(6)[:1], [7.0])).minimise(c, x, u),
+            lambda c, x, u: ProximalEstimator(3, constraints=np.eye(6)),
+            "constraints must be a LinearConstraints or None, got array",
+        ),
+        (
+            lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(6)[:1], [7.0])).minimise(c, x, u),
             r"the centre must satisfy what is known \(M theta = b\), got a violation of 5\.25",
         ),
         (
-            lambda c, x, u: ProximalEstimator(3, knowledge=Knowledge(np.eye(5), np.ones(5))).minimise(c, x, u),
-            "the knowledge must be about the 6 parameters of the centre, got 5 columns",
+            lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(5), np.ones(5))).minimise(
+                c, x, u
+            ),
+            "the constraints must be about the 6 parameters of the centre, got 5 columns",
         ),
         (
             lambda c, x, u: ProximalEstimator(3, generator=Entropy()).minimise(c, x, u),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rhl._riccati import cost_step, least_steering
+from rhl._riccati import cost_step, truncated_min_norm
 from tests import oracle
 
 SEED = 2010_05891
@@ -71,22 +71,22 @@ def test_cost_steps_of_a_batch():
 
 
 @pytest.mark.parametrize(("rows", "columns", "rank"), [(3, 5, 3), (3, 5, 2), (4, 2, 2), (4, 2, 1), (3, 3, 0)])
-def test_least_steering(rows, columns, rank):
+def test_truncated_min_norm(rows, columns, rank):
     rng = np.random.default_rng(SEED)
     M = rng.standard_normal((rows, rank)) @ rng.standard_normal((rank, columns))
     wanted = rng.standard_normal(rows)
-    w = least_steering(M, wanted, 1.0 + np.linalg.norm(M, axis=0))
+    w = truncated_min_norm(M, wanted, 1.0 + np.linalg.norm(M, axis=0))
     np.testing.assert_allclose(w, np.linalg.pinv(M, rcond=1e-10) @ wanted, rtol=1e-10, atol=ROUNDING)
 
 
 @pytest.mark.parametrize(("noise", "followed"), [([1.0, 1.0], True), ([1.0, 1e6], False), ([1e6, 1.0], True)], ids=str)
 def test_steering_that_may_be_rounding_is_not_followed(noise, followed):
     """A singular value of 1e-9 counts, unless the column it comes from was computed from products of size 1e6."""
-    w = least_steering(np.diag([1.0, 1e-9]), np.ones(2), np.array(noise))
+    w = truncated_min_norm(np.diag([1.0, 1e-9]), np.ones(2), np.array(noise))
     np.testing.assert_allclose(w, [1.0, 1e9 if followed else 0.0], rtol=ROUNDING)
 
 
-def test_least_steering_of_a_batch_with_other_ranks():
+def test_truncated_min_norm_of_a_batch_with_other_ranks():
     M = np.stack([np.eye(2), np.diag([1.0, 0.0]), np.zeros((2, 2))])
-    w = least_steering(M, np.ones((3, 2)), np.ones((3, 2)))
+    w = truncated_min_norm(M, np.ones((3, 2)), np.ones((3, 2)))
     assert np.array_equal(w, [[1, 1], [1, 0], [0, 0]])

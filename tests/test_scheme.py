@@ -1,4 +1,4 @@
-"""What is chosen beforehand: sizes that fit, domains, knowledge; the default; and everything that is refused."""
+"""What is chosen beforehand: sizes that fit, domains, constraints; the default; and everything that is refused."""
 
 from dataclasses import FrozenInstanceError, replace
 from itertools import islice
@@ -8,7 +8,7 @@ import pytest
 
 from rhl.basis import Polynomials, Terms
 from rhl.closed_loop import closed_loop
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
@@ -16,14 +16,14 @@ from rhl.lifting import DelayLifting
 from rhl.losses import Entropy, LogCosh
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme, default_scheme
 
 NAN = np.nan
 
 
 def controller(**changes):
-    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": HarmonicDecay(10.0)}
+    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": PowerDecay(10.0)}
     return Controller(**settings | changes)
 
 
@@ -89,12 +89,12 @@ def test_frozen():
         ({"initial_model": np.eye(2)}, r"initial_model must be a SignalModel, got array\("),
         ({"mixing": 0.5}, "mixing must be a ConstantMixing or a LambdaSearch, got 0.5"),
         (
-            {"estimator": ProximalEstimator(4, knowledge=Knowledge.entries(np.eye(2), np.full((2, 2), NAN)))},
-            r"the initial model must satisfy what is known \(M theta = b\), got a violation of 1; start from knowledge",
+            {"estimator": ProximalEstimator(4, constraints=LinearConstraints.entries(np.eye(2), np.full((2, 2), NAN)))},
+            r"the initial model must satisfy what is known \(M theta = b\), got a violation of 1; start from con",
         ),
         (
-            {"estimator": ProximalEstimator(4, knowledge=Knowledge.entries([[NAN]], [[1.0]]))},
-            "the knowledge must be about the 8 parameters of the initial model, got 2 columns",
+            {"estimator": ProximalEstimator(4, constraints=LinearConstraints.entries([[NAN]], [[1.0]]))},
+            "the constraints must be about the 8 parameters of the initial model, got 2 columns",
         ),
         (
             {"estimator": ProximalEstimator(4, generator=Entropy())},
@@ -122,15 +122,15 @@ def test_positive_models_are_in_the_domain():
 
 
 def test_known_models_are_accepted():
-    known = Knowledge.shift(1, 2, 1, 2)
+    known = LinearConstraints.shift(1, 2, 1, 2)
     model = known.nearest(SignalModel(np.full((2, 2), 0.1), np.ones((2, 2))))
-    assert scheme(estimator=ProximalEstimator(4, knowledge=known), initial_model=model).p == 1
+    assert scheme(estimator=ProximalEstimator(4, constraints=known), initial_model=model).p == 1
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"horizon": 1.5}, "horizon must be a whole number of at least 1, got 1.5"),
+        ({"horizon": 1.5}, "horizon must be an integer of at least 1, got 1.5"),
         ({"alpha": -1.0}, "alpha must be a positive finite number, got -1.0"),
         ({"model_delay": True}, "model_delay must be 0 or 1, got True"),
         ({"epsilon": 0.5}, "epsilon must be a function of k, got 0.5"),
@@ -153,7 +153,7 @@ def test_default_is_what_it_says(p, q, order):
     assert (made.p, made.q) == (p, q)
     assert (made.lifting.outputs, made.lifting.inputs, made.lifting.basis) == (order, order, None)
     assert made.estimator.window == 2 * order
-    assert made.estimator.knowledge is None
+    assert made.estimator.constraints is None
     assert (made.estimator.loss.weight, made.estimator.generator.weight) == (1.0, 0.01)
     assert made.controller.horizon == max(30, 2 * (n + (order - 1) * q))
     assert made.controller.epsilon(1) == pytest.approx(1 / 11)
@@ -180,5 +180,5 @@ def test_other_estimators_close_the_loop_too(estimator):
 
 @pytest.mark.parametrize("sizes", [(0, 1, 1), (1, -1, 1), (1, 1, 1.5), (1, 1, True)])
 def test_default_refused(sizes):
-    with pytest.raises(InputError, match=r"(p|q|order) must be a whole number of at least 1, got"):
+    with pytest.raises(InputError, match=r"(p|q|order) must be an integer of at least 1, got"):
         default_scheme(*sizes)

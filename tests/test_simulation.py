@@ -9,7 +9,7 @@ import pytest
 
 from rhl._files import header, write_whole
 from rhl.closed_loop import Step, closed_loop, replay
-from rhl.controllability import margin
+from rhl.controllability import controllability_margin
 from rhl.errors import DivergedError, InputError
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import LinearPlant
@@ -67,8 +67,8 @@ def test_lambda_and_weight(trace, robot):
 
 def test_margins(trace):
     for k, done in enumerate(trace.steps):
-        assert trace.margin_lifted[k] == margin(done.model)
-        assert trace.margin_augmented[k] == margin(LINEAR.scheme.lifting.augment(done.model))
+        assert trace.margin_lifted[k] == controllability_margin(done.model)
+        assert trace.margin_augmented[k] == controllability_margin(LINEAR.scheme.lifting.augment(done.model))
     assert np.max(np.abs(trace.margin_lifted - trace.margin_augmented)) > 0.1
 
 
@@ -83,7 +83,7 @@ def test_plans_on_demand(trace):
     ("k", "sentence"),
     [
         (STEPS, f"k must be below the number of steps, {STEPS}, got {STEPS}"),
-        (-1, "k must be a whole number of at least 0, got -1"),
+        (-1, "k must be an integer of at least 0, got -1"),
     ],
 )
 def test_no_plan_outside(trace, k, sentence):
@@ -125,14 +125,6 @@ def test_a_batch_is_no_table():
     assert batch.y.shape == (2, 2, 1)
     with pytest.raises(InputError, match=r"a table holds one run, got a batch of shape \(2,\); take one member"):
         batch.columns()
-
-
-def test_dataframe(trace):
-    frame = trace.to_dataframe()
-    assert list(frame.columns) == list(trace.columns())
-    assert len(frame) == STEPS
-    assert frame["k"].dtype == np.int64
-    assert np.array_equal(frame["v1"], trace.v[:, 0])
 
 
 @pytest.mark.parametrize("which", ["trace", "robot"])
@@ -211,7 +203,7 @@ def test_divergence_keeps_the_steps_before():
 
 @pytest.mark.parametrize("steps", [0, -1, 2.5])
 def test_refused(steps):
-    with pytest.raises(InputError, match=f"steps must be a whole number of at least 1, got {steps}"):
+    with pytest.raises(InputError, match=f"steps must be an integer of at least 1, got {steps}"):
         simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, steps)
 
 

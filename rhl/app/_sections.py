@@ -10,17 +10,17 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rhl._checks import Array, describe, real_array, reason, shown
 from rhl.basis import Basis, Polynomials, Terms
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
-from rhl.disturbances import GaussianNoise, Instrument, InTurn, Outliers, Saturation
+from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Outliers, Saturation
 from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.losses import Convex, Entropy, LogCosh, PseudoHuber, WeightedSquares
 from rhl.model import SignalModel
 from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
 from rhl.plants.analysis import rough_model
-from rhl.plants.examples import READY, ready
-from rhl.schedules import Constant, ExponentialDecay, HarmonicDecay, PowerDecay, Schedule
+from rhl.plants.examples import EXAMPLES, example
+from rhl.schedules import Constant, ExponentialDecay, PowerDecay, Schedule
 from rhl.scheme import Controller
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -111,16 +111,16 @@ class ArmSection(Section):
         return RobotArm(self.variant)
 
 
-class ReadySection(Section):
+class ExampleSection(Section):
     """[plant] with kind = "ready": one of the plants that come with the library."""
 
     kind: Literal["ready"] = key('"ready"')
-    name: Text = key(f"one of {', '.join(READY)}")
+    name: Text = key(f"one of {', '.join(EXAMPLES)}")
     z0: Vector | None = key("a list of n finite numbers, the initial state; the plant's own if left out", default=None)
 
     def plant(self) -> Plant:
         """Build the plant."""
-        return ready(self.name).plant
+        return example(self.name).plant
 
 
 class PythonSection(Section):
@@ -131,8 +131,8 @@ class PythonSection(Section):
         "the path of a Python file, seen from the folder of this one, that defines step(z, v) and output(z); it is "
         "executed"
     )
-    n: Size = key("a whole number from 1 to 100, the size of the state")
-    q: Size = key("a whole number from 1 to 100, the size of the input")
+    n: Size = key("an integer from 1 to 100, the size of the state")
+    q: Size = key("an integer from 1 to 100, the size of the input")
     z0: Vector = key("a list of n finite numbers, the initial state")
 
     def plant(self) -> Plant:
@@ -144,19 +144,19 @@ class PythonSection(Section):
         return FunctionPlant(names["step"], names["output"], n=self.n, q=self.q, names=("step", "output"))
 
 
-PLANTS = (LinearSection, TransferSection, ReadySection, ArmSection, PythonSection)
+PLANTS = (LinearSection, TransferSection, ExampleSection, ArmSection, PythonSection)
 PlantSection = Annotated[
-    LinearSection | TransferSection | ReadySection | ArmSection | PythonSection, Field(discriminator="kind")
+    LinearSection | TransferSection | ExampleSection | ArmSection | PythonSection, Field(discriminator="kind")
 ]
 
 
 class LiftingSection(Section):
     """[lifting]: equations (14) and (22)."""
 
-    outputs: Size = key("a whole number from 1 to 100, N_y, how many outputs x(k) stacks")
-    inputs: Size = key("a whole number from 1 to 100, N_v, how many inputs u(k) stacks")
+    outputs: Size = key("an integer from 1 to 100, N_y, how many outputs x(k) stacks")
+    inputs: Size = key("an integer from 1 to 100, N_v, how many inputs u(k) stacks")
     degree: Annotated[int, Field(strict=True, ge=1, le=6)] = key(
-        "a whole number from 1 to 6; above 1, all monomials of the stacked outputs up to it are appended to x(k)",
+        "an integer from 1 to 6; above 1, all monomials of the stacked outputs up to it are appended to x(k)",
         default=1,
     )
     terms: list[Text] = key(
@@ -174,7 +174,7 @@ class LiftingSection(Section):
 class EstimatorSection(Section):
     """[estimator]: equation (15)."""
 
-    window: Length = key("a whole number from 1 to 10000, N_bar, how many transitions are fitted")
+    window: Length = key("an integer from 1 to 10000, N_bar, how many transitions are fitted")
     weight: Positive = key("a positive number, the weight of the Bregman distance")
     mixing: Fraction | Literal["search", "none"] = key(
         'a number in [0, 1), the constant lambda, "none", or "search" for Lemma 5\'s search'
@@ -253,17 +253,17 @@ class KnowledgeSection(Section):
     A: Partial = key('a matrix like A0 of known numbers and "?" where unknown; empty if nothing is known', default=[])
     B: Partial = key('a matrix like B0 of known numbers and "?" where unknown; empty if nothing is known', default=[])
 
-    def knowledge(self, lifting: DelayLifting, p: int, q: int) -> Knowledge | None:
+    def constraints(self, lifting: DelayLifting, p: int, q: int) -> LinearConstraints | None:
         """Build the equalities; None where there are none."""
         n, columns = lifting.size(p), q * lifting.inputs
         A, B = _partial("A", self.A, (n, n)), _partial("B", self.B, (n, columns))
-        found = Knowledge.entries(A, B)
+        found = LinearConstraints.entries(A, B)
         if self.shift_rows:
             if lifting.basis is not None:
                 raise InputError(
                     "shift_rows must be false where x(k) has basis functions, got true; give A and B instead"
                 )
-            found = found & Knowledge.shift(p, lifting.outputs, q, lifting.inputs)
+            found = found & LinearConstraints.shift(p, lifting.outputs, q, lifting.inputs)
         return found if len(found.b) else None
 
 
@@ -277,7 +277,7 @@ class ControllerSection(Section):
     QN: Number | Matrix = key(
         "a positive number (times the identity) or a symmetric positive definite matrix, (N_y p + (N_v-1) q) square"
     )
-    horizon: Length = key("a whole number from 1 to 10000, N")
+    horizon: Length = key("an integer from 1 to 10000, N")
     alpha: Positive = key("a positive number, Gamma(x) = alpha x'x")
     model_delay: Annotated[int, Field(strict=True, ge=0, le=1)] = key(
         "0 (control with the estimate of this step) or 1 (of the step before)"
@@ -318,7 +318,7 @@ class ControllerSection(Section):
         ):
             self.heeded(name, self.eps in schedules, f"where eps is {self.eps!r}")
         if self.eps == "harmonic":
-            return HarmonicDecay(self._needed("eps_rate"))
+            return PowerDecay(self._needed("eps_rate"))
         if self.eps == "power":
             return PowerDecay(self._needed("eps_rate"), self._needed("eps_power"))
         return (
@@ -350,9 +350,9 @@ class SimulationSection(Section):
     )
     outlier_rate: Fraction = key("a number in [0, 1), how probable an outlier is in an output at a step", default=0.0)
     outlier_size: Positive = key("a positive number, how far off an outlier is", default=1.0)
-    seed: Seed = key("a whole number from 0 to 4294967295, from which errors and outliers are drawn", default=0)
+    seed: Seed = key("an integer from 0 to 4294967295, from which errors and outliers are drawn", default=0)
 
-    def actuator(self, q: int) -> Instrument | None:
+    def actuator(self, q: int) -> Disturbance | None:
         """Build the actuator; None where it lets everything through."""
         if self.v_min is None and self.v_max is None:
             return None
@@ -369,7 +369,7 @@ class SimulationSection(Section):
             raise InputError(f"v_min must be below v_max for each input, got {describe(self.v_min)} and {self.v_max}")
         return Saturation(low, high)
 
-    def sensor(self, p: int) -> Instrument | None:
+    def sensor(self, p: int) -> Disturbances | None:
         """Build the sensor; None where it is exact."""
         if isinstance(self.noise, list) and len(self.noise) != p:
             raise InputError(f"noise must be a number or have {p} entries, one for each output, got {len(self.noise)}")
@@ -380,7 +380,7 @@ class SimulationSection(Section):
         if not self.outlier_rate:
             return noisy
         wrong = Outliers(self.outlier_rate, self.outlier_size, self.seed)
-        return wrong if noisy is None else InTurn(noisy, wrong)
+        return wrong if noisy is None else (noisy, wrong)
 
 
 def _matrix(name: str, rows: Matrix) -> Array:

@@ -19,25 +19,25 @@ from rhl.app._sections import (
     ControllerSection,
     Count,
     EstimatorSection,
+    ExampleSection,
     KnowledgeSection,
     LiftingSection,
     Matrix,
     PlantSection,
-    ReadySection,
     RoughSection,
     Section,
     SimulationSection,
     Text,
     key,
 )
-from rhl.constraints import Knowledge
+from rhl.constraints import LinearConstraints
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.published import Experiment
 from rhl.plants import Plant
-from rhl.plants.examples import ready
+from rhl.plants.examples import example
 from rhl.scheme import Scheme
 
 # Of the file, in bytes: room for matrices of a few hundred rows.
@@ -57,8 +57,8 @@ _SECTIONS: dict[str, tuple[type[Section], ...]] = {
 class Config(Section):
     """A whole file."""
 
-    name: Text = key("a text, what the run is called")
-    steps: Count = key("a whole number from 1 to 100000, the number of rows k = 0 .. steps-1")
+    name: Text = key("a string, what the run is called")
+    steps: Count = key("an integer from 1 to 100000, the number of rows k = 0 .. steps-1")
     plant: PlantSection = key("a section")
     lifting: LiftingSection = key("a section")
     estimator: EstimatorSection = key("a section")
@@ -87,20 +87,20 @@ class Config(Section):
         with _under("estimator"):
             initial_model = self._initial_model(plant, lifting, n, q)
         with _under("knowledge"):
-            knowledge = None if self.knowledge is None else self.knowledge.knowledge(lifting, plant.p, plant.q)
-            if knowledge is not None and self.estimator.A0 == "rough":
+            constraints = None if self.knowledge is None else self.knowledge.constraints(lifting, plant.p, plant.q)
+            if constraints is not None and self.estimator.A0 == "rough":
                 # A rough model gives way to what is known for certain.
-                initial_model = knowledge.nearest(initial_model)
+                initial_model = constraints.nearest(initial_model)
         with _under("controller"):
             controller = self.controller.controller()
         with _under("estimator"):
             mixing = self.estimator.mixed_by()
             estimator = ProximalEstimator(
-                self.estimator.window, self.estimator.convex_loss(), self.estimator.convex_generator(), knowledge
+                self.estimator.window, self.estimator.convex_loss(), self.estimator.convex_generator(), constraints
             )
         with _under("estimator"):
-            if knowledge is not None:
-                _check_start(knowledge, initial_model)
+            if constraints is not None:
+                _check_start(constraints, initial_model)
         with _under("controller", otherwise="estimator"):
             scheme = Scheme(lifting, estimator, controller, initial_model, mixing)
         simulation = self.simulation or SimulationSection()
@@ -110,8 +110,8 @@ class Config(Section):
 
     def _plant(self) -> tuple[Plant, Array]:
         plant = self.plant.plant()
-        own = self.plant.z0 is None and isinstance(self.plant, ReadySection)
-        z0 = ready(self.plant.name).z0 if own and isinstance(self.plant, ReadySection) else self.plant.z0
+        own = self.plant.z0 is None and isinstance(self.plant, ExampleSection)
+        z0 = example(self.plant.name).z0 if own and isinstance(self.plant, ExampleSection) else self.plant.z0
         z0 = real_array("z0", z0 if z0 is not None else [])
         if z0.shape != (plant.n,):
             raise InputError(f"z0 must have {plant.n} entries, one for each state of the plant, got {len(z0)}")
@@ -286,7 +286,7 @@ def template(name: str) -> str:
         TOML.
     """
     if not isinstance(cast(object, name), str):
-        raise InputError(f"name must be a text, got {describe(name)}")
+        raise InputError(f"name must be a string, got {describe(name)}")
     kinds = " or ".join(str(kind.model_fields["kind"].description) for kind in PLANTS)
     lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
     lines += [
@@ -353,9 +353,9 @@ def _locate(loc: tuple[int | str, ...], data: dict[str, Any]) -> tuple[list[str]
     return [first, name], dict(section.model_fields), found.get(name)
 
 
-def _check_start(knowledge: Knowledge, initial_model: SignalModel) -> None:
+def _check_start(constraints: LinearConstraints, initial_model: SignalModel) -> None:
     try:
-        knowledge.check("A0 with B0", initial_model)
+        constraints.check("A0 with B0", initial_model)
     except InputError as error:
         what = str(error).partition(";")[0]
         raise InputError(f'{what}; "shift-of-ones" satisfies shift_rows, "rough" gives way to what is known') from None

@@ -12,8 +12,8 @@ import numpy as np
 
 from rhl._checks import Array, choice, instance, reason
 from rhl.closed_loop import start, step
-from rhl.controllability import LambdaSearch, margin
-from rhl.disturbances import Instrument
+from rhl.controllability import LambdaSearch, controllability_margin
+from rhl.disturbances import Disturbance, Disturbances
 from rhl.errors import InputError
 from rhl.losses import Convex, Varying, called
 from rhl.plants import LinearPlant, Plant
@@ -85,7 +85,7 @@ class Diagnosis:
 
 
 def diagnose(
-    plant: Plant, scheme: Scheme, *, sensor: Instrument | None = None, actuator: Instrument | None = None
+    plant: Plant, scheme: Scheme, *, sensor: Disturbances | None = None, actuator: Disturbances | None = None
 ) -> Diagnosis:
     """Check the assumptions of the paper for a plant and a scheme, before anything runs.
 
@@ -95,7 +95,7 @@ def diagnose(
         A plant that is not linear is judged by its linearisation at zero.
     scheme : Scheme
         What would run on it.
-    sensor, actuator : callable, optional
+    sensor, actuator : callable or tuple of callables, optional
         What would stand between them.
 
     Returns
@@ -119,7 +119,7 @@ def diagnose(
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
-    return Diagnosis((*_of_plant(plant, scheme), *_of_scheme(scheme), *_of_instruments(sensor, actuator)))
+    return Diagnosis((*_of_plant(plant, scheme), *_of_scheme(scheme), *_of_disturbances(sensor, actuator)))
 
 
 def diagnose_run(trace: Trace) -> Diagnosis:
@@ -227,7 +227,7 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
         yield Finding(
             "Adaptive weight", "outside", "Theorem 1 lets epsilon fall at every step, not only where V1 is stuck"
         )
-    lifted, of_pair = float(margin(scheme.initial_model)), float(margin(augmented))
+    lifted, of_pair = float(controllability_margin(scheme.initial_model)), float(controllability_margin(augmented))
     kept = isinstance(scheme.mixing, LambdaSearch)
     asked = scheme.mixing.least_margin if isinstance(scheme.mixing, LambdaSearch) else _LOST
     yield Finding(
@@ -282,11 +282,15 @@ def _pace(scheme: Scheme) -> str:
     return f"about {1e3 * (perf_counter() - began):.1f} ms a step here"
 
 
-def _of_instruments(sensor: Instrument | None, actuator: Instrument | None) -> Iterator[Finding]:
+def _of_disturbances(sensor: Disturbances | None, actuator: Disturbances | None) -> Iterator[Finding]:
     for name, part in (("Sensor", sensor), ("Actuator", actuator)):
-        if part is not None:
-            what = "a function of your own" if inspect.isfunction(part) else called(part)
+        if part is not None and part != ():
+            what = " and ".join(map(_named, part if isinstance(part, tuple) else (part,)))
             yield Finding(name, "outside", f"{what} stands between scheme and plant; the theory knows none")
+
+
+def _named(part: Disturbance) -> str:
+    return "a function of your own" if inspect.isfunction(part) else called(part)
 
 
 def _size(rows: Array) -> Array:
@@ -349,7 +353,9 @@ def _of_models(trace: Trace) -> Iterator[Finding]:
             "met" if moved[-end:].max() <= _GONE * max(moved.max(), 1e-300) else "suspect",
             f"largest move of theta {moved.max():.3g}, in the last {end} steps {moved[-end:].max():.3g}",
         )
-    yield Finding("Certificates", "note", f"every estimate within {float(np.max(trace.distance)):.1g} of its minimiser")
+    yield Finding(
+        "Certificates", "note", f"every estimate within {float(np.max(trace.newton_decrement)):.1g} of its minimiser"
+    )
     if scheme.controller.adaptive:
         yield Finding("Adaptive weight", "note", f"epsilon was let fall {int(trace.steps[-1].stage)} times")
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def tell(**values: float | int | str) -> None:
-    """Hand numbers, or short texts, to the prose of the page under their names.
+    """Hand numbers, or short strings, to the prose of the page under their names.
 
     Parameters
     ----------

@@ -11,13 +11,13 @@ import numpy as np
 from rhl._checks import Array, choice, instance, real_array
 from rhl.closed_loop import Step, replay
 from rhl.controllability import ConstantMixing
-from rhl.disturbances import Instrument
+from rhl.disturbances import Disturbances
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, Plant, RobotArm
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme
 from rhl.simulation import Trace, simulate
 
@@ -83,8 +83,8 @@ class Experiment:
     z0: Array
     scheme: Scheme
     steps: int
-    sensor: Instrument | None = None
-    actuator: Instrument | None = None
+    sensor: Disturbances | None = None
+    actuator: Disturbances | None = None
     applied_known: bool = True
 
     def run(self, progress: Callable[[Step], None] | None = None) -> Trace:
@@ -128,7 +128,7 @@ def linear_example(*, printed: bool = False) -> Experiment:
         lifting=DelayLifting(outputs=4, inputs=4),
         estimator=ProximalEstimator(window=8),
         controller=Controller(
-            Q=100.0, R=10000.0, QN=100.0, horizon=20, epsilon=HarmonicDecay(1000 if printed else 100), model_delay=1
+            Q=100.0, R=10000.0, QN=100.0, horizon=20, epsilon=PowerDecay(1000 if printed else 100), model_delay=1
         ),
         initial_model=SignalModel.companion_of_ones(4, 4),
     )
@@ -157,7 +157,7 @@ def robot_arm(*, printed: bool = False) -> Experiment:
     scheme = Scheme(
         lifting=DelayLifting(outputs=2, inputs=2),
         estimator=ProximalEstimator(window=10),
-        controller=Controller(Q=10.0, R=100.0, QN=10.0, horizon=15, epsilon=HarmonicDecay(10), model_delay=1),
+        controller=Controller(Q=10.0, R=100.0, QN=10.0, horizon=15, epsilon=PowerDecay(10), model_delay=1),
         initial_model=SignalModel.companion_of_ones(6, 2, "eye-last-row-of-ones"),
         mixing=ConstantMixing(0.5),
     )
@@ -165,12 +165,12 @@ def robot_arm(*, printed: bool = False) -> Experiment:
     return Experiment("robot arm", plant, np.array([5.0, -5.0, 1.0]), scheme, steps=62)
 
 
-def fed_back(*, printed: bool = False) -> Trace:
+def replay_published(*, printed: bool = False) -> Trace:
     """Run the linear example's scheme on the published outputs and inputs instead of on a plant.
 
     Examples
     --------
-    >>> bool(np.abs(fed_back().y_hat[:, 0] - curve("linear_y_hat")).max() < 1e-10)
+    >>> bool(np.abs(replay_published().y_hat[:, 0] - curve("linear_y_hat")).max() < 1e-10)
     True
     """
     scheme = linear_example(printed=printed).scheme
@@ -227,7 +227,7 @@ def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
     True
     """
     check_length(trace, 42, 3)
-    back = fed_back(printed=printed)
+    back = replay_published(printed=printed)
     rows = []
     for signal, found, name, last in (
         ("y", trace.y[:, 0], "linear_y", 13),

@@ -13,14 +13,14 @@ from typing import Any, Literal
 import numpy as np
 
 from rhl._checks import Array
-from rhl.controllability import ConstantMixing, candidates, margin
+from rhl.controllability import ConstantMixing, candidates, controllability_margin
 from rhl.errors import DivergedError, InputError
 from rhl.model import SignalModel
 from rhl.paper.claims.lemma_5 import crossing_pairs, degree_bound, polynomial
 from rhl.paper.claims.proximal import tangential_turns
 from rhl.paper.published import Experiment, curve, linear_example, robot_arm
 from rhl.plants import LinearPlant
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.simulation import Trace
 
 Name = Literal["linear", "robot"]
@@ -251,10 +251,10 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
         lam = np.unique([*np.linspace(0, 1, 251), *bad, *(share for share in beside if 0 <= share <= 1)])
         unseen, seen = (SignalModel(np.array(A, dtype=float), np.array(B, dtype=float)) for A, B in pairs)
         columns["lam"].append([float(f"{share:.12g}") for share in lam])
-        columns["margin"].append(_plain(margin(unseen.mix(seen, lam))))
+        columns["margin"].append(_plain(controllability_margin(unseen.mix(seen, lam))))
         columns["bad"].append(np.searchsorted(lam, bad).tolist())
         columns["candidates"].append(_plain(candidates(n, 0.9)))
-        columns["found"].append(_plain(margin(unseen.mix(seen, candidates(n, 0.9)))))
+        columns["found"].append(_plain(controllability_margin(unseen.mix(seen, candidates(n, 0.9)))))
     return {"orders": orders, "enough": [degree_bound(n) for n in orders], **columns}
 
 
@@ -329,7 +329,7 @@ def _input_weight(powers: Iterable[int], own: float) -> Setting:
 def _rate(powers: Iterable[int], own: float) -> Setting:
     values = tuple(10.0**power for power in powers)
     return Setting(
-        "rate", "rate of ε", "η", values, own, lambda e, value: _with_controller(e, epsilon=HarmonicDecay(value))
+        "rate", "rate of ε", "η", values, own, lambda e, value: _with_controller(e, epsilon=PowerDecay(value))
     )
 
 

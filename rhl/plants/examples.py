@@ -1,4 +1,4 @@
-"""Ready plants beside the paper's own, each with its published source, units and a moderate initial state."""
+"""Example plants beside the paper's own, each with its published source, units and a moderate initial state."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Valves = Literal["minimum-phase", "nonminimum-phase"]
 
 
 @dataclass(frozen=True, eq=False)
-class ReadyPlant:
+class ExamplePlant:
     """A plant together with what one needs to run and to label it.
 
     Attributes
@@ -349,9 +349,9 @@ def _sampled(A: Array, B: Array, C: Array, h: float) -> LinearPlant:
     return LinearPlant(both[:n, :n], both[:n, n:], C)
 
 
-def _cart_pendulum() -> ReadyPlant:
+def _cart_pendulum() -> ExamplePlant:
     plant = CartPendulum()
-    return ReadyPlant(
+    return ExamplePlant(
         plant,
         np.array([0.0, 0.0, 0.1, 0.0]),
         "inverted pendulum on a cart: nonlinear, unstable",
@@ -362,8 +362,8 @@ def _cart_pendulum() -> ReadyPlant:
     )
 
 
-def _quadruple_tank(valves: Valves) -> ReadyPlant:
-    return ReadyPlant(
+def _quadruple_tank(valves: Valves) -> ExamplePlant:
+    return ExamplePlant(
         quadruple_tank(valves),
         np.array([2.0, -2.0, 0.5, -0.5]),
         f"four water tanks, two pumps: two inputs, two outputs, {valves}",
@@ -374,8 +374,8 @@ def _quadruple_tank(valves: Valves) -> ReadyPlant:
     )
 
 
-def _flexible_shaft() -> ReadyPlant:
-    return ReadyPlant(
+def _flexible_shaft() -> ExamplePlant:
+    return ExamplePlant(
         flexible_shaft(),
         np.array([1.0, 0.0, 20.0, 0.0]),  # turned by one radian, with no torsion at a gear ratio of 20
         "DC motor with a flexible shaft: an integrator and a lightly damped pair",
@@ -386,8 +386,8 @@ def _flexible_shaft() -> ReadyPlant:
     )
 
 
-def _reversing_vehicle() -> ReadyPlant:
-    return ReadyPlant(
+def _reversing_vehicle() -> ExamplePlant:
+    return ExamplePlant(
         reversing_vehicle(),
         np.array([0.5, 0.0]),
         "car in reverse: a double integrator with a zero outside the unit circle",
@@ -398,8 +398,8 @@ def _reversing_vehicle() -> ReadyPlant:
     )
 
 
-def _slow_mode() -> ReadyPlant:
-    return ReadyPlant(
+def _slow_mode() -> ExamplePlant:
+    return ExamplePlant(
         held_pump(),
         np.array([2.0, 2.0]),
         "two water tanks, one of them out of the pump's reach: a stable mode that is not controllable",
@@ -410,7 +410,7 @@ def _slow_mode() -> ReadyPlant:
     )
 
 
-READY: Mapping[str, Callable[[], ReadyPlant]] = MappingProxyType(
+EXAMPLES: Mapping[str, Callable[[], ExamplePlant]] = MappingProxyType(
     {
         "cart-pendulum": _cart_pendulum,
         "quadruple-tank": lambda: _quadruple_tank("minimum-phase"),
@@ -422,17 +422,17 @@ READY: Mapping[str, Callable[[], ReadyPlant]] = MappingProxyType(
 )
 
 
-def ready(name: str) -> ReadyPlant:
-    """Return a ready plant by its name.
+def example(name: str) -> ExamplePlant:
+    """Return an example plant by its name.
 
     Parameters
     ----------
     name : str
-        A key of ``READY``.
+        A key of ``EXAMPLES``.
 
     Returns
     -------
-    ReadyPlant
+    ExamplePlant
 
     Raises
     ------
@@ -441,8 +441,8 @@ def ready(name: str) -> ReadyPlant:
 
     Examples
     --------
-    >>> ready("slow-mode").outputs
+    >>> example("slow-mode").outputs
     ('sensor 2 (V)',)
     """
-    choice("name", name, tuple(READY))
-    return READY[name]()
+    choice("name", name, tuple(EXAMPLES))
+    return EXAMPLES[name]()

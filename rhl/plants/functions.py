@@ -41,7 +41,7 @@ class FunctionPlant:
         If a function raises, or does not return finite real numbers of the right shape, at z = 0, v = 0; see
         :meth:`step` for later on.
     InputError
-        If n or q is not a whole number of at least 1, or a function cannot be called.
+        If n or q is not an integer of at least 1, or a function cannot be called.
 
     Notes
     -----

@@ -79,7 +79,7 @@ def test_run_writes_every_row_to_the_last_digit(config, tmp_path):
 @pytest.mark.parametrize(
     ("replacement", "sentence"),
     [
-        (("horizon = 20", "horizon = 0"), "rhl: controller.horizon must be a whole number"),
+        (("horizon = 20", "horizon = 0"), "rhl: controller.horizon must be an integer"),
         (("mixing = 0.0", "mixing = 1.0"), "rhl: estimator.mixing must be"),
         (("R = 10000.0", "R = -1.0"), "rhl: controller.R must be positive definite"),
         (("H = [[1, 0, 1]]", "H = [[1, 0]]"), "rhl: plant.H must have shape"),

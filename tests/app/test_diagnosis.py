@@ -13,11 +13,11 @@ from rhl.disturbances import GaussianNoise, Saturation
 from rhl.errors import AssumptionWarning, DivergedError, InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
-from rhl.losses import LogCosh, Own, Varying, WeightedSquares
+from rhl.losses import CustomLoss, LogCosh, Varying, WeightedSquares
 from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
-from rhl.plants.examples import ready
+from rhl.plants.examples import example
 from rhl.schedules import Constant
 from rhl.scheme import default_scheme
 from rhl.simulation import Trace, simulate
@@ -114,7 +114,7 @@ def test_settings_that_break_one_assumption(change, subject):
 
 def test_a_function_of_the_users_is_suspect_until_they_say_more():
     def own(**facts):
-        return with_estimator(generator=Own(lambda x: x @ x, lambda x: 2 * x, **facts))(SCHEME)
+        return with_estimator(generator=CustomLoss(lambda x: x @ x, lambda x: 2 * x, **facts))(SCHEME)
 
     assert unmet(diagnose(PLANT, own())) == ["Assumption 6, generator", "Lemma 4, D convex in its second argument"]
     assert diagnose(PLANT, own(assumption_6=True, convex_in_second=True)).sound
@@ -203,6 +203,12 @@ def test_the_search_has_its_own_idea_of_controllable():
     assert "not watched" in says(diagnose(PLANT, SCHEME), "Theorem 2(iii), initial model controllable")
 
 
+def test_disturbances_are_named_in_order():
+    both = (GaussianNoise(0.1, 0), Saturation(-1.0, 1.0))
+    (found,) = (finding for finding in diagnose(PLANT, SCHEME, sensor=both).findings if finding.subject == "Sensor")
+    assert found.says == "GaussianNoise and Saturation stands between scheme and plant; the theory knows none"
+
+
 def test_it_prints_a_line_for_each_finding():
     found = diagnose(PLANT, SCHEME)
     assert len(str(found).splitlines()) == len(found.findings)
@@ -211,7 +217,7 @@ def test_it_prints_a_line_for_each_finding():
 @pytest.mark.parametrize(
     ("act", "sentence"),
     [
-        (lambda: diagnose(ready("quadruple-tank").plant, SCHEME), "the plant must have 1 outputs.* got 2"),
+        (lambda: diagnose(example("quadruple-tank").plant, SCHEME), "the plant must have 1 outputs.* got 2"),
         (
             lambda: diagnose_run(simulate(SCHEME, PLANT, np.ones((3, 2)), 5)),
             r"must be of one run, got a batch of shape",

@@ -18,12 +18,12 @@ from rhl.paper.published import (
     compare_linear,
     compare_robot,
     curve,
-    fed_back,
     gamma_over_eps,
     linear_example,
+    replay_published,
     robot_arm,
 )
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.simulation import Trace, simulate
 from tests import oracle
 
@@ -51,7 +51,7 @@ def linear():
 
 @pytest.fixture(scope="module")
 def back():
-    return fed_back()
+    return replay_published()
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +192,7 @@ def control(**changes):
 
 OTHER_SETTINGS = {
     "eps as printed": lambda: linear_example(printed=True).scheme,
-    "eps 99": lambda: control(epsilon=HarmonicDecay(99.0)),
+    "eps 99": lambda: control(epsilon=PowerDecay(99.0)),
     "no lag": lambda: control(model_delay=0),
     "horizon 19": lambda: control(horizon=19),
     "R 9999": lambda: control(R=9999.0),
@@ -223,7 +223,7 @@ def test_without_the_lag_the_second_input_is_off_by_25():
 
 def test_linear_as_printed():
     """With eps(k) = 1/(1+1000k) the inputs are off by half at k = 13, and figure 6 by a factor of ten."""
-    back = fed_back(printed=True)
+    back = replay_published(printed=True)
     assert gap(back.v[:, 0], "linear_u")[13] == pytest.approx(0.5, abs=0.1)
     factor = gamma_over_eps(printed=True)[1:] / curve("linear_gamma_over_eps")[1:]
     assert np.all((factor > 9.9) & (factor < 10))
@@ -264,7 +264,7 @@ def robot_with(*, mixing=None, **changes):
         {"mixing": ConstantMixing(0.0)},
         {"mixing": ConstantMixing(0.49)},
         {"model_delay": 0},
-        {"epsilon": HarmonicDecay(11.0)},
+        {"epsilon": PowerDecay(11.0)},
         {"R": 101.0},
         {"horizon": 14},
     ],
@@ -354,6 +354,6 @@ def test_a_shifted_curve_is_missed(robot, monkeypatch):
 
 def test_solutions_do_not_depend_on_how_the_weight_is_spelt():
     """A number stands for that multiple of the identity."""
-    done = fed_back().steps[7]
+    done = replay_published().steps[7]
     spelt = replace(done.problem, Q=100 * np.eye(7), R=[[10000.0]], QN=100 * np.eye(7))
     assert np.array_equal(solve(spelt, done.plan.x[0]).u, done.plan.u)

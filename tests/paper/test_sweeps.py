@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rhl import plotting
-from rhl.controllability import margin
+from rhl.controllability import controllability_margin
 from rhl.errors import InputError
 from rhl.model import SignalModel
 from rhl.paper import sweeps
@@ -368,7 +368,11 @@ def test_mixtures(page):
     # What the page calls the margin at the far end is the margin of the controllable pair itself.
     pair = crossing_pairs(4, [Fraction(0), *(Fraction(1, 20 + i) for i in range(3))])[1]
     assert (
-        apart([data["margin"][0][-1]], [float(margin(SignalModel(*(np.array(M, dtype=float) for M in pair))))]) < 1e-5
+        apart(
+            [data["margin"][0][-1]],
+            [float(controllability_margin(SignalModel(*(np.array(M, dtype=float) for M in pair))))],
+        )
+        < 1e-5
     )
 
 

@@ -108,7 +108,7 @@ def test_rough_model_refuses():
     for lengths, name in (((2, 3), "outputs"), ((3, 2), "inputs")):
         with pytest.raises(InputError, match=f"{name} must be at least 3, the observability index .* got 2; stack 3"):
             rough_model(plant, *lengths)
-    with pytest.raises(InputError, match="outputs must be a whole number of at least 1, got 0"):
+    with pytest.raises(InputError, match="outputs must be an integer of at least 1, got 0"):
         rough_model(plant, 0, 3)
     with pytest.raises(InputError, match=r"must be a LinearPlant, got RobotArm; pass rhl.plants.analysis.linearise"):
         rough_model(RobotArm(), 1, 1)

@@ -1,4 +1,4 @@
-"""Ready plants: against the numbers their sources print, conserved energy, and what each is there to show."""
+"""Example plants: against the numbers their sources print, conserved energy, and what each is there to show."""
 
 import control
 import numpy as np
@@ -8,12 +8,12 @@ from scipy.linalg import eigvals, logm
 from rhl.errors import InputError
 from rhl.plants.analysis import detectability, linearise, pbh, stabilizability
 from rhl.plants.examples import (
-    READY,
+    EXAMPLES,
     CartPendulum,
+    example,
     flexible_shaft,
     held_pump,
     quadruple_tank,
-    ready,
     reversing_vehicle,
 )
 
@@ -281,9 +281,9 @@ def test_slow_mode_is_half_of_the_rig():
 # ---------------------------------------------------------------- the registry
 
 
-@pytest.mark.parametrize("name", READY)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_every_ready_plant(name):
-    found = ready(name)
+    found = example(name)
     plant = found.plant
     assert (len(found.states), len(found.inputs), len(found.outputs)) == (plant.n, plant.q, plant.p)
     assert all(label.endswith(")") for label in (*found.states, *found.inputs, *found.outputs))
@@ -309,9 +309,9 @@ FASTEST = {
 }
 
 
-@pytest.mark.parametrize("name", READY)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_the_sampling_time_told_is_the_one_used(name):
-    found = ready(name)
+    found = example(name)
     linear = linearise(found.plant)
     A, B = continuous(linear, found.h)
     assert np.abs(A).max() == pytest.approx(FASTEST[name], rel=1e-3)
@@ -324,4 +324,4 @@ def test_the_sampling_time_told_is_the_one_used(name):
 @pytest.mark.parametrize("name", ["pendulum", "", None, ["slow-mode"]])
 def test_unknown_names_list_the_known(name):
     with pytest.raises(InputError, match=r"name must be one of cart-pendulum, quadruple-tank, .*slow-mode, got "):
-        ready(name)
+        example(name)

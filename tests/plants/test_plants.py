@@ -318,7 +318,7 @@ def test_function_plant_refuses(transition, measurement, sentence):
 
 
 def test_function_plant_refuses_its_sizes():
-    with pytest.raises(InputError, match="n must be a whole number of at least 1, got 0"):
+    with pytest.raises(InputError, match="n must be an integer of at least 1, got 0"):
         FunctionPlant(still, whole, 0, 1)
     with pytest.raises(InputError, match=r"measurement must be a function measurement\(z\), got 3"):
         FunctionPlant(still, 3, 2, 1)

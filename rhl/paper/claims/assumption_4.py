@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rhl.controllability import margin
+from rhl.controllability import controllability_margin
 from rhl.horizon import V1, V2, solve
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
@@ -210,7 +210,7 @@ def check_steering(effort: Effort, horizon: int = 3) -> Evidence:
     left: list[float] = []
     while len(left) < effort.cases:
         model = SignalModel(rng.normal(size=(3, 3)), rng.normal(size=(3, 1)))
-        if margin(model) > 0.1:
+        if controllability_margin(model) > 0.1:
             x = rng.normal(size=3)
             left.append(float(np.sqrt(solve(V2(model, 1.0, horizon), x).value) / np.linalg.norm(x)))
     return Evidence(len(left), worst_of(left), _RIGHT, "rounding through a controllability matrix of margin 0.1")

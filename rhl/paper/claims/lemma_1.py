@@ -263,7 +263,7 @@ def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
             maps = PredictorMaps(maps.A, maps.B * (np.arange(maps.n)[:, None] > 0))
         C = stacked_form(maps, Q, R)[1]
         short.append((C.shape[1] if of == "column" else C.shape[0]) - int(np.linalg.matrix_rank(C)))
-    return Evidence(len(short), float(max(short)), 0.0, "a rank is a whole number; the maps are well conditioned")
+    return Evidence(len(short), float(max(short)), 0.0, "a rank is an integer; the maps are well conditioned")
 
 
 def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rhl.controllability import LambdaSearch, margin
+from rhl.controllability import LambdaSearch, controllability_margin
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence
@@ -276,7 +276,7 @@ def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
             for rule in ("first", "best"):
                 search = LambdaSearch("lifted", rule, 0.9, 1e-9)
                 lam = search.choose(unseen, seen, lambda model: model) if mix else np.zeros(())
-                short.append(1e-9 - float(margin(unseen.mix(seen, lam))))
+                short.append(1e-9 - float(controllability_margin(unseen.mix(seen, lam))))
     return Evidence(len(short), max(short), 0.0, "the margin that the search promises")
 
 

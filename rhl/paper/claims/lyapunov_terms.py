@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from rhl._checks import Array
-from rhl.controllability import margin
+from rhl.controllability import controllability_margin
 from rhl.horizon import V3, Plan, solve
 from rhl.model import PredictorMaps, SignalModel
 
@@ -250,7 +250,7 @@ def draw(
         A *= rng.uniform(0.5, 1.3) / max(float(np.max(np.abs(np.linalg.eigvals(A)))), 0.1)
         DA, DB = 0.3 * rng.normal(size=(n, n)), 0.3 * rng.normal(size=(n, q))
         model = SignalModel(A + fade * DA, B + fade * DB)
-        if np.min(margin(model)) > _LEAST_MARGIN:
+        if np.min(controllability_margin(model)) > _LEAST_MARGIN:
             plants.append((A, B))
             models.append(model)
             errors.append((2 * size(DA) ** 2, 2 * size(DB) ** 2))

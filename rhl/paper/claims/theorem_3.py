@@ -18,7 +18,7 @@ from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.kalman import kalman_form
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import signal_model
-from rhl.schedules import HarmonicDecay
+from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme
 from rhl.simulation import Trace, simulate
 
@@ -59,7 +59,7 @@ def scheme_for(m: int, initial_model: SignalModel | None = None) -> Scheme:
     return Scheme(
         lifting=DelayLifting(m, m),
         estimator=ProximalEstimator(2 * m),
-        controller=Controller(Q=100.0, R=10000.0, QN=100.0, horizon=20, epsilon=HarmonicDecay(100)),
+        controller=Controller(Q=100.0, R=10000.0, QN=100.0, horizon=20, epsilon=PowerDecay(100)),
         initial_model=SignalModel.companion_of_ones(m, m) if initial_model is None else initial_model,
     )
 

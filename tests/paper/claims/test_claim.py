@@ -103,5 +103,5 @@ def test_randomness_depends_on_seed_and_name_alone():
 
 @pytest.mark.parametrize(("seed", "cases"), [(-1, 10), (0, 0), (0.5, 10)])
 def test_effort_is_checked(seed, cases):
-    with pytest.raises(InputError, match="must be a whole number"):
+    with pytest.raises(InputError, match="must be an integer"):
         Effort(seed, cases)
