@@ -20,7 +20,8 @@ from rhl.model import PredictorMaps, SignalModel
 from rhl.plants import FunctionPlant, LinearPlant
 from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme, default_scheme
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 
 __all__ = [
     "V1",

@@ -1,52 +1,80 @@
-"""One step back of the Riccati recursion, in square-root form, and the least steering of a terminal state."""
+"""The recursion behind V1, V2 and V3 for batches of any shape, and the shortest way to a terminal state."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from rhl._checks import Array
+from rhl._lanes import blocks, from_lanes, to_lanes
 
 # A direction counts as steerable if its gain exceeds this share of what it was computed from; 1e3 roundings.
 _RANK_RTOL = 1e-13
 
 
-def cost_step(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array) -> tuple[Array, Array, Array]:
-    r"""Take the Riccati recursion one step back, in square-root form.
+def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizon: int) -> tuple[Array, Array, Array]:
+    r"""Take the Riccati recursion back over a horizon, in square-root form.
 
     .. math:: |S' x|^2 = \min_u |Q^{1/2} x|^2 + |R^{1/2} u|^2 + |S (A x + B u)|^2
 
     Parameters
     ----------
-    S : array, shape (..., rows, n')
-        Factor of the cost to go after the step.
-    A, B : array, shapes (..., n', n) and (..., n', q)
-        The step.
+    S : array, shape (..., n, n)
+        Upper factor of the cost to go after the last stage.
+    A, B : array, shapes (..., n, n) and (..., n, q)
+        One stage's step.
     Q_factor, R_factor : array, shapes (..., c, c) and (..., q, q)
         Upper factors with Q = Q_factor' Q_factor; Q acts on the first c entries of the state.
+    horizon : int
+        N.
 
     Returns
     -------
-    K : array, shape (..., q, n)
-        The minimiser is u = -K x.
-    V : array, shape (..., q, q)
-        What another input costs: |V (u + K x)|^2 more.
+    K : array, shape (..., N, q, n)
+        The minimiser at stage i is u = -K_i x.
+    V : array, shape (..., N, q, q)
+        What another input costs: |V_i (u + K_i x)|^2 more.
     S : array, shape (..., n, n)
-        Upper factor of the cost to go before the step.
+        Upper factor of the cost to go before the first stage.
     """
-    n, q, c = A.shape[-1], B.shape[-1], Q_factor.shape[-1]
-    SB, SA = S @ B, S @ A
-    lead = np.broadcast_shapes(SB.shape[:-2], SA.shape[:-2], Q_factor.shape[:-2], R_factor.shape[:-2])
-    rows = SB.shape[-2]
-    stack = np.zeros((*lead, q + rows + c, q + n))
-    stack[..., :q, :q] = R_factor
-    stack[..., q : q + rows, :q] = SB
-    stack[..., q : q + rows, q:] = SA
-    stack[..., q + rows :, q : q + c] = Q_factor
-    # A reflection rounds every row to the size of those above it, so small rows must not stand above large ones.
-    order = np.argsort(-np.max(np.abs(stack), axis=-1), axis=-1)
-    upper = np.asarray(np.linalg.qr(np.take_along_axis(stack, order[..., None], axis=-2), mode="r"))
-    V = upper[..., :q, :q]
-    return np.linalg.solve(V, upper[..., :q, q:]), V, upper[..., q:, q:]
+    from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+
+    arrays = (S, A, B, Q_factor, R_factor)
+    lead = np.broadcast_shapes(*(M.shape[:-2] for M in arrays))
+    S, A, B, Q_factor, R_factor = (to_lanes(M, lead, 2) for M in arrays)
+    M = np.concatenate([B, A], axis=1)
+    (n, q), members = B.shape[:2], B.shape[2]
+    K, V = np.empty((horizon, q, n, members)), np.empty((horizon, q, q, members))
+    for part in blocks(members):
+        k, w = np.empty((horizon, q, n, part.stop - part.start)), np.empty((horizon, q, q, part.stop - part.start))
+        s, m, stage_Q, stage_R = (np.ascontiguousarray(array[..., part]) for array in (S, M, Q_factor, R_factor))
+        loops.recursion(s, m, stage_Q, stage_R, k, w)
+        K[..., part], V[..., part], S[..., part] = k, w, s
+    return from_lanes(K, lead), from_lanes(V, lead), from_lanes(S, lead)
+
+
+def rollout(A: Array, B: Array, K: Array, push: Array, x: Array) -> tuple[Array, Array]:
+    """Follow u_i = push_i - K_i x_i from x; return u, shape (..., N, q), and x_0 ... x_N, shape (..., N+1, n).
+
+    Parameters
+    ----------
+    A, B : array, shapes (..., n, n) and (..., n, q)
+        One stage's step.
+    K : array, shape (..., N, q, n)
+        Gains.
+    push : array, shape (..., N, q)
+        What is added.
+    x : array, shape (..., n)
+        Where it begins.
+    """
+    from rhl.kernels import loops
+
+    lead = np.broadcast_shapes(A.shape[:-2], B.shape[:-2], K.shape[:-3], push.shape[:-2], x.shape[:-1])
+    M = np.concatenate([to_lanes(B, lead, 2), to_lanes(A, lead, 2)], axis=1)
+    states = np.empty((K.shape[-3] + 1, *M.shape[::2]))
+    states[0] = to_lanes(x, lead, 1)
+    u = to_lanes(push, lead, 2)
+    loops.rollout(M, to_lanes(K, lead, 3), states, u)
+    return from_lanes(u, lead), from_lanes(states, lead)
 
 
 def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:

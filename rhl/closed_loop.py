@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,11 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, describe, instance, real_array
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
-from rhl.horizon import V1, Plan, solve
+from rhl.horizon import V1, Plan, first_input, solve
 from rhl.lifting import remember
 from rhl.model import SignalModel
 from rhl.plants.base import Plant, check_plant
+from rhl.plants.linear import LinearPlant
 from rhl.scheme import Scheme
 
 
@@ -29,11 +31,9 @@ class ControllerState:
     y : array, shape (..., T, p)
         y(k-1), y(k-2), ...; zero before k = 0.
     v : array, shape (..., T, q)
-        v(k-1), v(k-2), ...; zero before k = 0.
+        v(k-1), v(k-2), ..., as applied; zero before k = 0.
     model : SignalModel
         theta~(k-1).
-    y_hat : array, shape (..., p), or None
-        The prediction of y(k) made at k-1.
     stage : array of int, shape (...), or None
         The stage j(k-1) of an adaptive terminal weight.
     value : array, shape (...), or None
@@ -44,12 +44,11 @@ class ControllerState:
     y: Array
     v: Array
     model: SignalModel
-    y_hat: Array | None = None
     stage: np.ndarray | None = None
     value: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "y", "v", "y_hat", "value")
+        _freeze(self, "y", "v", "value")
         _freeze(self, "stage", kind=np.int64)
 
 
@@ -59,48 +58,75 @@ class Step:
 
     Attributes
     ----------
-    k : int
-        The step.
+    scheme : Scheme
+        What was chosen beforehand.
+    state : ControllerState
+        What the step started from; ``step(scheme, state, y)`` takes it again.
     y : array, shape (..., p)
         Output measured.
-    v : array, shape (..., q)
-        Input applied: the one computed, ``plan.u[..., 0, :]``, unless an actuator changed it.
-    y_hat : array, shape (..., p)
-        Prediction of y(k) made at k-1; y(0) at k = 0.
+    v_computed : array, shape (..., q)
+        Input computed, ``plan.u[..., 0, :]``.
+    v_applied : array, shape (..., q)
+        Input applied: the one computed, unless an actuator changed it.
     estimate : SignalModel
         theta*(k), the minimiser of equation (15).
     model : SignalModel
         theta~(k), after mixing.
     lam : array, shape (...)
         lambda_k.
-    problem : V1
-        What was solved at k.
-    plan : Plan
-        Its solution; ``plan.x[..., 0, :]`` is the augmented state X(k).
-    memory : ControllerState
-        What the step started from, y(k) included.
     stage : array of int, shape (...)
         What epsilon was taken at: k, or the stage j(k) of an adaptive weight.
     z : array, shape (..., n), or None
         The plant's state z(k), where there is a plant.
     """
 
-    k: int
+    scheme: Scheme
+    state: ControllerState
     y: Array
-    v: Array
-    y_hat: Array
+    v_computed: Array
+    v_applied: Array
     estimate: SignalModel
     model: SignalModel
     lam: Array
-    problem: V1
-    plan: Plan
-    memory: ControllerState
     stage: np.ndarray
     z: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "y", "v", "y_hat", "lam", "z")
+        _freeze(self, "y", "v_computed", "v_applied", "lam", "z")
         _freeze(self, "stage", kind=np.int64)
+
+    @property
+    def k(self) -> int:
+        """The step."""
+        return self.state.k
+
+    @cached_property
+    def y_hat(self) -> Array:
+        """Prediction of y(k) made at k-1, the first entries of A x(k-1) + B u(k-1); y(0) at k = 0."""
+        if self.k == 0:
+            return self.y
+        lifting, state = self.scheme.lifting, self.state
+        x, u = lifting.lift(state.y, 1)[..., 0, :], lifting.window(state.v, lifting.inputs, 1)[..., 0, :]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return state.model.step(x, u)[..., : self.scheme.p]
+
+    @property
+    def used(self) -> SignalModel:
+        """The model that the controller used: theta~(k), or theta~(k-1) where it lags."""
+        return self.state.model if self.scheme.controller.model_delay else self.model
+
+    @cached_property
+    def problem(self) -> V1:
+        """What was solved at k, equation (3) for the augmented model."""
+        scheme = self.scheme
+        x = scheme.lifting.augmented_state(remember(self.state.y, self.y), self.state.v)
+        return scheme.controller.problem(scheme.lifting.augment(self.used), x, self.stage)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Its solution, worked out when asked for; ``plan.x[..., 0, :]`` is the augmented state X(k)."""
+        scheme = self.scheme
+        return solve(self.problem, scheme.lifting.augmented_state(remember(self.state.y, self.y), self.state.v))
 
 
 def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64) -> None:
@@ -112,20 +138,20 @@ def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64
 
 
 def start(scheme: Scheme) -> ControllerState:
-    """Return the memory before k = 0: all signals zero, the initial model."""
+    """Return the state before k = 0: all signals zero, the initial model."""
     instance("scheme", scheme, Scheme)
-    depth = scheme.estimator.window + 1 + max(scheme.lifting.outputs, scheme.lifting.inputs)
+    depth = scheme.depth
     return ControllerState(0, np.zeros((depth, scheme.p)), np.zeros((depth, scheme.q)), scheme.initial_model)
 
 
-def step(scheme: Scheme, memory: ControllerState, y: ArrayLike) -> Step:
+def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme: from y(k) to v(k).
 
     Parameters
     ----------
     scheme : Scheme
         What was chosen beforehand.
-    memory : ControllerState
+    state : ControllerState
         What the step before left, from ``start`` or ``advance``.
     y : array_like, shape (..., p)
         The output measured at k.
@@ -133,6 +159,7 @@ def step(scheme: Scheme, memory: ControllerState, y: ArrayLike) -> Step:
     Returns
     -------
     Step
+        Its input counts as applied until ``advance`` is told otherwise.
 
     Raises
     ------
@@ -146,47 +173,42 @@ def step(scheme: Scheme, memory: ControllerState, y: ArrayLike) -> Step:
         If y has another size, or a function of the user's own misbehaves.
     """
     instance("scheme", scheme, Scheme)
-    instance("memory", memory, ControllerState)
+    instance("state", state, ControllerState)
     y = real_array("y", y, (scheme.p,))
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return _step(scheme, memory, y)
+            return _step(scheme, state, y)
     except (NotFiniteError, np.linalg.LinAlgError) as error:
-        raise DivergedError(memory.k, str(error)) from error
+        raise DivergedError(state.k, str(error)) from error
 
 
-def _step(scheme: Scheme, memory: ControllerState, y: Array) -> Step:
+def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     lifting, estimator, controller = scheme.lifting, scheme.estimator, scheme.controller
-    lead = np.broadcast_shapes(y.shape[:-1], memory.y.shape[:-2], memory.v.shape[:-2])
-    y_history = remember(
-        np.broadcast_to(memory.y, (*lead, *memory.y.shape[-2:])), np.broadcast_to(y, (*lead, scheme.p))
-    )
-    v_history = np.broadcast_to(memory.v, (*lead, *memory.v.shape[-2:]))
+    lead = np.broadcast_shapes(y.shape[:-1], state.y.shape[:-2], state.v.shape[:-2])
+    y_history = remember(state.y, np.broadcast_to(y, (*lead, scheme.p)))
+    v_history = np.broadcast_to(state.v, (*lead, *state.v.shape[-2:]))
     x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
-    estimate = estimator.minimise(memory.model, x, u, memory.k)
-    lam = scheme.mixing.choose(estimate, memory.model, lifting.augment)
-    model = estimate.mix(memory.model, lam)
-    used = memory.model if controller.model_delay else model
-    state = lifting.augmented_state(y_history, v_history)
-    stage = np.full(lead, memory.k) if memory.stage is None else memory.stage
-    problem = controller.problem(lifting.augment(used), state, stage)
-    plan = solve(problem, state)
-    if controller.adaptive and memory.value is not None:
-        value = plan.value
-        stuck = (value >= memory.value) & (value > 0)
+    estimate = estimator.minimise(state.model, x, u, state.k)
+    lam = scheme.mixing.choose(estimate, state.model, lifting.augment)
+    model = estimate.mix(state.model, lam)
+    stage = np.full(lead, state.k) if state.stage is None else state.stage
+    X = lifting.with_past_inputs(x[..., 0, :], v_history)
+    used = lifting.augment(state.model if controller.model_delay else model)
+    weight = real_array("weight", controller.weight(X, stage))
+    v = first_input(used, scheme.factors, controller.horizon, weight, X)
+    taken = Step(scheme, state, y, v, v, estimate, model, lam, stage)
+    if controller.adaptive and state.value is not None:
+        value = taken.plan.value
+        stuck = (value >= state.value) & (value > 0)
         if np.any(stuck):
-            stage = stage + stuck
-            problem = controller.problem(lifting.augment(used), state, stage)
-            plan = solve(problem, state)
-    v = real_array("v", plan.u[..., 0, :])
-    y_hat = y if memory.y_hat is None else memory.y_hat
-    seen = ControllerState(memory.k, y_history, v_history, memory.model, memory.y_hat)
-    return Step(memory.k, y, v, y_hat, estimate, model, lam, problem, plan, seen, stage)
+            v = first_input(used, scheme.factors, controller.horizon, controller.weight(X, stage + stuck), X)
+            taken = replace(taken, v_computed=v, v_applied=v, stage=stage + stuck)
+    return taken
 
 
 def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> ControllerState:
-    """Return the memory for k+1, given the input that was really applied at k.
+    """Return the state for k+1, given the input that was really applied at k.
 
     Parameters
     ----------
@@ -195,7 +217,7 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Controlle
     done : Step
         The step at k.
     v : array_like, shape (..., q), optional
-        The input that the scheme takes for the applied one; ``done.v`` where omitted.
+        The input that the scheme takes for the applied one; ``done.v_applied`` where omitted.
 
     Returns
     -------
@@ -203,18 +225,14 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Controlle
     """
     instance("scheme", scheme, Scheme)
     instance("done", done, Step)
-    applied = done.v if v is None else real_array("v", v, (scheme.q,))
-    if applied.ndim > done.v.ndim:
-        raise InputError(f"v must have the batch axes of the step, shape {done.v.shape}, got {applied.shape}")
-    v_history = remember(done.memory.v, np.broadcast_to(applied, (*done.memory.v.shape[:-2], scheme.q)))
-    lifting = scheme.lifting
-    x = lifting.lift(done.memory.y, 1)[..., 0, :]
-    u = lifting.window(v_history, lifting.inputs, 1)[..., 0, :]
-    with np.errstate(over="ignore", invalid="ignore"):
-        predicted = np.einsum("...ab,...b->...a", done.model.A, x) + np.einsum("...ab,...b->...a", done.model.B, u)
+    applied = done.v_applied if v is None else real_array("v", v, (scheme.q,))
+    if applied.ndim > done.v_computed.ndim:
+        raise InputError(f"v must have the batch axes of the step, shape {done.v_computed.shape}, got {applied.shape}")
     adaptive = scheme.controller.adaptive
-    stage, value = (done.stage, done.plan.value) if adaptive else (None, None)
-    return ControllerState(done.k + 1, done.memory.y, v_history, done.model, predicted[..., : scheme.p], stage, value)
+    with np.errstate(over="ignore", invalid="ignore"):
+        stage, value = (done.stage, done.plan.value) if adaptive else (None, None)
+    y, u = remember(done.state.y, done.y), remember(done.state.v, np.broadcast_to(applied, done.v_computed.shape))
+    return ControllerState(done.k + 1, y, u, done.model, stage, value)
 
 
 def closed_loop(
@@ -237,7 +255,7 @@ def closed_loop(
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
     sensor : callable or tuple of callables, optional
-        (k, y) -> the output as it is measured, see ``rhl.disturbances``; those of a tuple are applied in order.
+        (k, y) -> the output as it is measured, see ``rhl.disturbances``.
     actuator : callable or tuple of callables, optional
         (k, v) -> the input as it is applied.
     applied_known : bool
@@ -247,14 +265,26 @@ def closed_loop(
     Yields
     ------
     Step
-        One for each k = 0, 1, ...
+        One for each k = 0, 1, ...; ``rhl.simulate`` is the faster way to many of them.
 
     Raises
     ------
     InputError
         If z0 does not fit the plant, the plant's sizes do not fit the scheme, or a disturbance misbehaves.
     DivergedError
-        If a number leaves the range of float64.
+        If a number leaves the range of float64, in any member of a batch.
+    """
+    z = check_loop(scheme, plant, z0, applied_known)
+    return _run(scheme, plant, z, sensor, actuator, applied_known)
+
+
+def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
+    """Check what a loop is made of; return z(0) with the batch axes that a linear plant brings.
+
+    Raises
+    ------
+    InputError
+        If z0 does not fit the plant, or the plant's sizes do not fit the scheme.
     """
     instance("scheme", scheme, Scheme)
     check_plant(plant)
@@ -264,10 +294,24 @@ def closed_loop(
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
-    # One step without input shows the batch axes that the plant itself brings.
+    return np.broadcast_to(z, (*plant.batch(z), plant.n)) if isinstance(plant, LinearPlant) else z
+
+
+def output(plant: Plant, z: Array, k: int) -> Array:
+    """Return the plant's output, which must be finite; DivergedError where it is not."""
+    y = np.asarray(plant.output(z), dtype=np.float64)
+    if not np.all(np.isfinite(y)):
+        raise DivergedError(k, "the plant's output is no longer finite")
+    return y
+
+
+def moved(plant: Plant, z: Array, v: Array) -> Array:
+    """Return the plant's next state, finite or not; InputError where it has another shape than the state."""
     with np.errstate(over="ignore", invalid="ignore"):
-        z = np.broadcast_to(z, np.shape(plant.step(z, np.zeros(plant.q))))
-    return _run(scheme, plant, z, sensor, actuator, applied_known)
+        after = np.asarray(plant.step(z, v), dtype=np.float64)
+    if after.shape != z.shape:
+        raise InputError(f"the plant's step must return a state of shape {z.shape}, as z0 has, got {after.shape}")
+    return after
 
 
 def _run(
@@ -278,21 +322,15 @@ def _run(
     actuator: Disturbances | None,
     applied_known: bool,
 ) -> Iterator[Step]:
-    memory = start(scheme)
+    state = start(scheme)
     while True:
-        y = np.asarray(plant.output(z), dtype=np.float64)
-        if not np.all(np.isfinite(y)):
-            raise DivergedError(memory.k, "the plant's output is no longer finite")
-        computed = step(scheme, memory, through("sensor", sensor, memory.k, y))
-        done = replace(computed, z=z, v=through("actuator", actuator, memory.k, computed.v))
+        computed = step(scheme, state, through("sensor", sensor, state.k, output(plant, z, state.k)))
+        done = replace(computed, z=z, v_applied=through("actuator", actuator, state.k, computed.v_computed))
         yield done
-        with np.errstate(over="ignore", invalid="ignore"):
-            moved = np.asarray(plant.step(z, done.v), dtype=np.float64)
-        if moved.shape != z.shape:
-            raise InputError(f"the plant's step must return a state of shape {z.shape}, got {moved.shape}")
-        if not np.all(np.isfinite(moved)):
+        z = moved(plant, z, done.v_applied)
+        if not np.all(np.isfinite(z)):
             raise DivergedError(done.k + 1, "the plant's state is no longer finite")
-        z, memory = moved, advance(scheme, done, done.v if applied_known else computed.v)
+        state = advance(scheme, done, done.v_applied if applied_known else done.v_computed)
 
 
 def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
@@ -302,22 +340,22 @@ def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
     ----------
     scheme : Scheme
         What was chosen beforehand.
-    y : array_like, shape (steps, p)
+    y : array_like, shape (steps, ..., p)
         Recorded outputs y(0), y(1), ...
-    v : array_like, shape (steps, q)
+    v : array_like, shape (steps, ..., q)
         Recorded inputs, which are taken as applied, whatever the scheme computes.
 
     Yields
     ------
     Step
-        ``v`` is what the scheme computes from the record up to k.
+        ``v_computed`` is what the scheme computes from the record up to k, ``v_applied`` the record's input.
     """
     instance("scheme", scheme, Scheme)
     y, v = real_array("y", y, (None, scheme.p)), real_array("v", v, (None, scheme.q))
-    if len(y) != len(v):
+    if y.shape[:-1] != v.shape[:-1]:
         raise InputError(f"y and v must have as many rows as each other, got {len(y)} and {len(v)}")
-    memory = start(scheme)
-    for output, applied in zip(y, v, strict=True):
-        done = step(scheme, memory, output)
+    state = start(scheme)
+    for measured, applied in zip(y, v, strict=True):
+        done = replace(step(scheme, state, measured), v_applied=applied)
         yield done
-        memory = advance(scheme, done, applied)
+        state = advance(scheme, done)

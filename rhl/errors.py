@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rhl.closed_loop import Step
+    from rhl.trace import Trace
 
 
 class RHLError(Exception):
@@ -45,15 +45,15 @@ class DivergedError(RHLError, ArithmeticError):
         The step at which it did.
     what : str
         Which number.
-    steps : tuple of Step
-        The steps before, where ``simulate`` collected them.
+    trace : Trace or None
+        The rows before, where ``simulate`` recorded any.
     """
 
-    def __init__(self, k: int, what: str, steps: tuple[Step, ...] = ()) -> None:
+    def __init__(self, k: int, what: str, trace: Trace | None = None) -> None:
         super().__init__(f"the run left the range of floating-point numbers at k = {k}: {what}")
         self.k = k
         self.what = what
-        self.steps = steps
+        self.trace = trace
 
 
 class AssumptionWarning(UserWarning):

@@ -9,6 +9,7 @@ from typing import cast
 import numpy as np
 
 from rhl._checks import Array, describe, instance, integer, real_array
+from rhl._lanes import blocks, from_lanes, to_lanes
 from rhl._proximal import Proximal, quadratic, regression
 from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
@@ -108,9 +109,8 @@ class ProximalEstimator:
         """
         loss, x, u = self._problem(centre, x, u, k)
         if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
-            entrywise = self.constraints is None and np.ndim(loss.weight) < 2 and np.ndim(self.generator.weight) < 2
-            if entrywise:
-                return self._row_by_row(loss, self.generator, centre, x, u)
+            if self.constraints is None and _entrywise(loss) and _entrywise(self.generator):
+                return self._row_by_row(centre, x, u, k)
             free = self._free(centre)
             theta = quadratic(*regression(x, u), loss, self.generator, centre.theta, free)
         else:
@@ -181,30 +181,39 @@ class ProximalEstimator:
         theta = np.broadcast_to(centre.theta, (*lead, centre.theta.shape[-1]))
         return lead, [Proximal(s[at], R[at], loss, self.generator, theta[at], free) for at in np.ndindex(*lead)]
 
-    def _row_by_row(
-        self, loss: WeightedSquares, generator: WeightedSquares, centre: SignalModel, x: Array, u: Array
-    ) -> SignalModel:
-        n, q = centre.n, centre.q
-        trust = np.sqrt(np.broadcast_to(loss.weight, self.window * n)).reshape(self.window, n).T
-        hold = np.sqrt(np.broadcast_to(generator.weight, n * (n + q))).reshape(n + q, n).T
-        parameters = np.concatenate([centre.A, centre.B], axis=-1)
-        regressors = np.concatenate([x[..., 1:, :], u], axis=-1)
-        # Rows of [A B] with the same weights share one factorisation; mostly that is all of them.
-        same = np.all(trust == trust[0]) and np.all(hold == hold[0])
-        groups = 1 if same else n
-        trust, hold = trust[:groups], hold[:groups]
-        # In eta = hold * (theta - centre) the proximal term is |eta|^2, whatever the weights.
-        residual = x[..., :-1, :] - regressors @ parameters.swapaxes(-1, -2)
-        target = residual[..., None, :, :] if same else residual.swapaxes(-1, -2)[..., None]
-        target = trust[..., None] * target
-        rows = trust[..., None] * regressors[..., None, :, :] / hold[..., None, :]
-        eye = np.broadcast_to(np.eye(n + q), (*rows.shape[:-2], n + q, n + q))
-        target = np.concatenate([target, np.zeros((*target.shape[:-2], n + q, target.shape[-1]))], axis=-2)
-        orthogonal, upper = np.linalg.qr(np.concatenate([rows, eye], axis=-2))
-        eta = np.linalg.solve(upper, orthogonal.swapaxes(-1, -2) @ target) / hold[..., None]
-        moved = eta[..., 0, :, :].swapaxes(-1, -2) if same else eta[..., 0]
-        updated = parameters + moved
-        return SignalModel(updated[..., :n], updated[..., n:])
+    @property
+    def by_rows(self) -> bool:
+        """Whether each row of [A B] is a least-squares problem of its own: weighted squares and no constraints."""
+        return self.constraints is None and _entrywise(self.loss) and _entrywise(self.generator)
+
+    def roots_of_weights(self, n: int, q: int, k: int = 0) -> tuple[Array, Array]:
+        """Return the roots of the weights by rows of [A B], shapes (rows, window) and (rows, n + q).
+
+        Rows that have the same weights share one factorisation; mostly that is all of them, and then there is one row.
+        """
+        loss = self.loss.loss(k) if isinstance(self.loss, Varying) else self.loss
+        trust, hold = (np.sqrt(np.asarray(cast(WeightedSquares, of).weight)) for of in (loss, self.generator))
+        trust = np.broadcast_to(trust, self.window * n).reshape(self.window, n).T
+        hold = np.broadcast_to(hold, n * (n + q)).reshape(n + q, n).T
+        rows = 1 if np.all(trust == trust[0]) and np.all(hold == hold[0]) else n
+        return np.ascontiguousarray(trust[:rows]), np.ascontiguousarray(hold[:rows])
+
+    def _row_by_row(self, centre: SignalModel, x: Array, u: Array, k: int) -> SignalModel:
+        from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+
+        lead = np.broadcast_shapes(x.shape[:-2], u.shape[:-2], centre.A.shape[:-2])
+        given = [to_lanes(M, lead, 2) for M in (x, u, np.concatenate([centre.A, centre.B], axis=-1))]
+        weights, theta = self.roots_of_weights(centre.n, centre.q, k), np.empty_like(given[-1])
+        for part in blocks(theta.shape[-1]):
+            fitted = np.empty((*theta.shape[:-1], part.stop - part.start))
+            loops.fit(*(np.ascontiguousarray(M[..., part]) for M in given), *weights, fitted)
+            theta[..., part] = fitted
+        found = from_lanes(theta, lead)
+        return SignalModel(found[..., : centre.n], found[..., centre.n :])
+
+
+def _entrywise(function: Convex | Varying) -> bool:
+    return isinstance(function, WeightedSquares) and np.ndim(function.weight) < 2
 
 
 def _for_residuals(loss: Convex) -> None:

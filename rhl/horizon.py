@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, common_batch, instance, integer, read_only, real_array, weight_matrix
-from rhl._riccati import cost_step, truncated_min_norm
+from rhl._riccati import gains, rollout, truncated_min_norm
 from rhl.errors import InfeasibleError, InputError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
 
@@ -255,8 +255,9 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
 
     Notes
     -----
-    A Riccati recursion in square-root form: the cost to go is carried as a triangular factor S with P = S'S, each step
-    one orthogonal factorisation, so that P is never formed, never loses symmetry, and never squares a condition number.
+    A Riccati recursion in square-root form: the cost to go is carried as a triangular factor S with P = S'S, each stage
+    one sweep of orthogonal rotations, so that P is never formed, never loses symmetry, and never squares a condition
+    number.
 
     V2 and V3 are solved without a terminal cost first. Their objective (for V2: the norm to be least among minimisers)
     is then that of the solution plus :math:`\sum_i |w_i|^2`, where :math:`w_i = V_i (u_i + K_i x_i)`, and the
@@ -283,28 +284,61 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     return plan
 
 
+def first_input(
+    model: SignalModel, factors: tuple[Array, Array, Array], horizon: int, weight: Array, x: Array
+) -> Array:
+    """Return the first input of V1's solution, and nothing else of the plan, shape (..., q).
+
+    Parameters
+    ----------
+    model : SignalModel
+        Predictor.
+    factors : tuple of arrays
+        Upper factors of Q, R and QN.
+    horizon : int
+        N.
+    weight : array, shape (...)
+        Gamma(x)/eps(k).
+    x : array, shape (..., n)
+        Present signal.
+
+    Raises
+    ------
+    NotFiniteError
+        If it leaves the range of float64.
+    """
+    Q, R, QN = factors
+    K, _, _ = gains(*_scaled(weight, QN, model.A, model.B, Q, R), horizon)
+    u, _ = rollout(model.A, model.B, K[..., :1, :, :], np.zeros((1, model.q)), x)
+    return real_array("the first input planned", u[..., 0, :])
+
+
+def _scaled(
+    weight: Array, QN: Array, A: Array, B: Array, Q: Array, R: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return the recursion's data; divided by the weight where that is above one, no square leaves float64's range."""
+    root = np.sqrt(np.asarray(weight))[..., None, None]
+    up, down = np.minimum(root, 1.0), np.maximum(root, 1.0)
+    return QN * up, A, B, Q / down, R / down
+
+
 def _solve(problem: Problem, x: Array) -> Plan:
     n, q = problem.model.n, problem.model.q
-    start, stages = _stages(problem.model, problem.horizon)
+    start, A, B = _chain(problem.model)
     Q, R = (np.eye(n), np.eye(q)) if isinstance(problem, V2) else (problem.Q, problem.R)
-    Q_factor, R_factor = _factor(np.asarray(Q)), _factor(np.asarray(R))
-    S = np.zeros((n, n))
+    Q_factor, R_factor = factor(np.asarray(Q)), factor(np.asarray(R))
+    S = np.zeros((A.shape[-1], A.shape[-1]))
     if isinstance(problem, V1):
-        S = np.sqrt(np.asarray(problem.weight))[..., None, None] * _factor(np.asarray(problem.QN))
-    backward = []
-    for A, B in reversed(stages):
-        K, V, S = cost_step(S, A, B, Q_factor, R_factor)
-        backward.append((A, B, K, V))
+        QN_factor = factor(np.asarray(problem.QN))
+        S = np.zeros((*QN_factor.shape[:-2], *S.shape))
+        S[..., :n, :n] = QN_factor
+    weight = np.asarray(problem.weight if isinstance(problem, V1) else 1.0)
+    data = _scaled(weight, S, A, B, Q_factor, R_factor)
+    K, V, _ = gains(*data, problem.horizon)
     state = np.einsum("...ab,...b->...a", start, x)
-    pushes = [np.zeros(q)] * len(stages) if isinstance(problem, V1) else _pushes(problem, backward, state)
-    inputs, states = [], [state]
-    for (A, B, K, _), push in zip(reversed(backward), reversed(pushes), strict=True):
-        inputs.append(push - np.einsum("...ab,...b->...a", K, states[-1]))
-        states.append(np.einsum("...ab,...b->...a", A, states[-1]) + np.einsum("...ab,...b->...a", B, inputs[-1]))
-    # The last state has met every array, so it has all leading axes.
-    lead = states[-1].shape[:-1]
-    u = np.stack([np.broadcast_to(u, (*lead, q)) for u in inputs], axis=-2)
-    return Plan(problem, u, np.stack([np.broadcast_to(state[..., :n], (*lead, n)) for state in states], axis=-2))
+    push = np.zeros((problem.horizon, q)) if isinstance(problem, V1) else _pushes(problem, A, B, K, V, state)
+    u, states = rollout(A, B, K, push, state)
+    return Plan(problem, u, states[..., :n])
 
 
 def condensed_hessian(problem: V1) -> Array:
@@ -341,51 +375,56 @@ def condensed_hessian(problem: V1) -> Array:
     return np.asarray(H + np.kron(np.eye(maps.horizon), np.asarray(problem.R)))
 
 
-def _pushes(problem: V2 | V3, backward: list[tuple[Array, Array, Array, Array]], state: Array) -> list[Array]:
-    """Return what V2 and V3 add to the inputs -K x, shapes (..., q), last stage first."""
-    q = problem.model.q
+def _pushes(problem: V2 | V3, A: Array, B: Array, K: Array, V: Array, state: Array) -> Array:
+    """Return what V2 and V3 add to the inputs -K x, shape (..., N, q)."""
+    n, q = problem.model.n, problem.model.q
     # Loop invariant: L takes the state at a stage to the terminal state (in V2's norm) if nothing is added from there.
-    L = _factor(np.asarray(problem.QN)) if isinstance(problem, V2) else np.eye(problem.model.n)
+    end = factor(np.asarray(problem.QN)) if isinstance(problem, V2) else np.eye(n)
+    L = np.concatenate([end, np.zeros((*end.shape[:-1], A.shape[-1] - n))], axis=-1)
     columns: list[Array] = []
     sizes: list[Array] = []
-    for A, B, K, V in backward:
-        BV = B @ np.linalg.inv(V)  # V'V = R + B'PB; its condition is R's and that of the step, not the problem's
+    for i in reversed(range(problem.horizon)):
+        BV = B @ np.linalg.inv(V[..., i, :, :])  # V'V = R + B'PB; its condition is R's and that of the step
         columns.append(L @ BV)
-        sizes.append(_norm(L)[..., None] * np.linalg.norm(BV, axis=-2))
-        L = np.asarray(L @ (A - B @ K))
+        # What L does not look at (predictions beyond the horizon) adds no rounding.
+        seen = np.any(L != 0, axis=-2)[..., None]
+        sizes.append(_norm(L)[..., None] * np.linalg.norm(BV * seen, axis=-2))
+        L = np.asarray(L @ (A - B @ K[..., i, :, :]))
     drift = np.einsum("...ab,...b->...a", L, state)
     wanted = problem.r - drift if isinstance(problem, V3) else -drift
     steering = np.concatenate(np.broadcast_arrays(*columns), axis=-1)
     w = truncated_min_norm(steering, wanted, np.concatenate(np.broadcast_arrays(*sizes), axis=-1))
     if isinstance(problem, V3):
         miss = np.linalg.norm(wanted - np.einsum("...ab,...b->...a", steering, w), axis=-1)
-        start = np.linalg.norm(state[..., : problem.model.n], axis=-1)
+        start = np.linalg.norm(state[..., :n], axis=-1)
         scale = np.maximum(np.linalg.norm(problem.r, axis=-1), start * np.maximum(1.0, _norm(L)))
         if np.any(miss > _FEASIBLE_RTOL * scale):
             raise InfeasibleError(
                 f"no input sequence of {problem.horizon} steps steers x to r: every terminal state misses r by "
                 f"at least {np.max(miss):.3g}; choose r within reach (V2's terminal state is), or a controllable model"
             )
-    parts = [w[..., i * q : (i + 1) * q, None] for i in range(problem.horizon)]
-    return [np.asarray(np.linalg.solve(V, part)[..., 0]) for (*_, V), part in zip(backward, parts, strict=True)]
+    parts = w.reshape(*w.shape[:-1], problem.horizon, q)[..., ::-1, :]
+    return np.asarray(np.linalg.solve(V, parts[..., None])[..., 0])
 
 
-def _stages(model: Predictor, horizon: int) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Write the prediction as a chain of steps whose state begins with x_i.
+def _chain(model: Predictor) -> tuple[Array, Array, Array]:
+    """Write the prediction as a linear system: where it begins, A and B; its state begins with x_i.
 
-    A signal model is one. General maps become one by carrying the free response: the state at stage i holds
-    the predictions of x_i, ..., x_N under the inputs before i, and u_i shifts them by B_0, ..., B_{N-i-1}.
+    A signal model is one. General maps become one by carrying the free response: the state at stage i holds the
+    predictions of x_i, x_{i+1}, ... under the inputs before i, and u_i shifts them by 0, B_0, B_1, ...
     """
     if isinstance(model, SignalModel):
-        return np.eye(model.n), [(model.A, model.B)] * horizon
-    n, lead = model.n, np.broadcast_shapes(model.A.shape[:-3], model.B.shape[:-3])
-    start = np.broadcast_to(model.A, (*lead, *model.A.shape[-3:])).reshape(*lead, -1, n)
-    columns = np.broadcast_to(model.B, (*lead, *model.B.shape[-3:])).reshape(*lead, -1, model.q)
-    sizes = [n * (horizon - i) for i in range(horizon)]
-    return start, [(np.eye(size, size + n, k=n), columns[..., :size, :]) for size in sizes]
+        return np.eye(model.n), model.A, model.B
+    n, size = model.n, model.n * (model.horizon + 1)
+    lead = np.broadcast_shapes(model.A.shape[:-3], model.B.shape[:-3])
+    start = np.broadcast_to(model.A, (*lead, *model.A.shape[-3:])).reshape(*lead, size, n)
+    B = np.zeros((*lead, size, model.q))
+    B[..., : size - n, :] = np.broadcast_to(model.B, (*lead, *model.B.shape[-3:])).reshape(*lead, -1, model.q)
+    return start, np.eye(size, k=n), B
 
 
-def _factor(M: Array) -> Array:
+def factor(M: Array) -> Array:
+    """Return the upper triangular factor S of a definite M = S'S, shape (..., n, n)."""
     return np.asarray(np.linalg.cholesky(M).swapaxes(-1, -2))
 
 

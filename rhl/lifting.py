@@ -13,14 +13,16 @@ from rhl.model import SignalModel
 
 
 def remember(history: Array, newest: Array) -> Array:
-    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first; the oldest row falls out.
+    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first; the oldest row falls out. Batches broadcast.
 
     Examples
     --------
     >>> remember(np.array([[2.0], [1.0]]), np.array([3.0])).ravel()
     array([3., 2.])
     """
-    return np.concatenate([newest[..., None, :], history[..., :-1, :]], axis=-2)
+    lead = np.broadcast_shapes(newest.shape[:-1], history.shape[:-2])
+    kept = np.broadcast_to(history[..., :-1, :], (*lead, history.shape[-2] - 1, history.shape[-1]))
+    return np.concatenate([np.broadcast_to(newest, (*lead, newest.shape[-1]))[..., None, :], kept], axis=-2)
 
 
 @dataclass(frozen=True)
@@ -167,11 +169,14 @@ class DelayLifting:
         -------
         array, shape (..., n + (N_v - 1) q)
         """
-        x = self.lift(y_history, 1)[..., 0, :]
+        return self.with_past_inputs(self.lift(y_history, 1)[..., 0, :], v_history)
+
+    def with_past_inputs(self, x: Array, v_history: Array) -> Array:
+        """Return X(k) of Remark 4 from x(k), shape (..., n), already lifted, and v(k-1), v(k-2), ..."""
         if self.inputs == 1:
             return x
         past = self.window(v_history, self.inputs - 1, 1)[..., 0, :]
-        return np.concatenate([x, past], axis=-1)
+        return np.concatenate([x, np.broadcast_to(past, (*x.shape[:-1], past.shape[-1]))], axis=-1)
 
     def augment(self, model: SignalModel) -> SignalModel:
         r"""Give the lifted model the single input v(k) by carrying past inputs as states, Remark 4.

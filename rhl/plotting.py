@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from rhl._checks import Array, instance
 from rhl._files import write_whole
 from rhl.errors import InputError
-from rhl.simulation import Trace
+from rhl.trace import Trace
 
 ThemeName = Literal["light", "dark"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rhl._checks import describe, fraction, integer, numbers, positive, reason
+from rhl._checks import Array, describe, fraction, integer, numbers, positive, reason
 from rhl.errors import InputError
 
 Schedule = Callable[[int], float]
@@ -150,6 +150,22 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
                 f"epsilon must not rise (Theorem 1 asks that it tends to zero), got {now:g} at k = {k} after {before:g}"
             )
     return now
+
+
+def epsilons(schedule: Schedule, first: int, stop: int) -> Array:
+    """Evaluate a schedule at first, ..., stop - 1, as :func:`epsilon_at` does, once at each.
+
+    Raises
+    ------
+    InputError
+        If the schedule raises, is not positive and finite, or rises.
+    """
+    start = max(first - 1, 0)
+    found = np.array([_value(schedule, k) for k in range(start, stop)])
+    rises = np.flatnonzero(np.diff(found) > 0)
+    if len(rises):
+        epsilon_at(schedule, start + int(rises[0]) + 1)
+    return found[first - start :]
 
 
 def _value(schedule: Schedule, k: int) -> float:

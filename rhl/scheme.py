@@ -12,7 +12,7 @@ from rhl._checks import Array, describe, instance, integer, positive, real_array
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllability_margin
 from rhl.errors import AssumptionWarning, InputError
 from rhl.estimator import ProximalEstimator
-from rhl.horizon import V1
+from rhl.horizon import V1, factor
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares, called
 from rhl.model import SignalModel
@@ -100,9 +100,22 @@ class Controller:
         -------
         V1
         """
-        epsilon = np.reshape([epsilon_at(self.epsilon, int(at)) for at in np.ravel(k)], np.shape(k))
-        weight = self.alpha * np.sum(x**2, axis=-1) / epsilon
-        return V1(model, self.Q, self.R, self.QN, weight, self.horizon)
+        return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
+
+    def weight(self, x: Array, k: int | np.ndarray) -> Array:
+        """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3).
+
+        Parameters
+        ----------
+        x : array, shape (..., n)
+            Augmented state.
+        k : int, or array of int, shape (...)
+            The step; where the weight is adaptive, the stage.
+        """
+        stages, where = np.unique(k, return_inverse=True)
+        epsilon = np.array([epsilon_at(self.epsilon, int(at)) for at in stages])[where].reshape(np.shape(k))
+        # Added up from first to last, as the compiled loop does, so that the two agree to the last bit.
+        return np.asarray(self.alpha * sum(x[..., i] ** 2 for i in range(x.shape[-1])) / epsilon)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +179,19 @@ class Scheme:
                     f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
                     f"got {least:.3g}; choose another initial model, lower least_margin, or mix by a constant"
                 )
+
+    @cached_property
+    def factors(self) -> tuple[Array, Array, Array]:
+        """Upper triangular factors of Q, R and QN, on the augmented state."""
+        controller, n = self.controller, self.lifting.augment(self.initial_model).n
+        sizes = {"Q": n, "R": self.q, "QN": n}
+        Q, R, QN = (factor(weight_matrix(name, getattr(controller, name), size)) for name, size in sizes.items())
+        return Q, R, QN
+
+    @property
+    def depth(self) -> int:
+        """How many past outputs and inputs a step looks at."""
+        return self.estimator.window + 1 + max(self.lifting.outputs, self.lifting.inputs)
 
     @cached_property
     def p(self) -> int:

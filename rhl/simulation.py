@@ -1,155 +1,32 @@
-"""A run, collected: arrays over k for plots, tables and files."""
+"""Whole runs: one loop or a batch of them, compiled where the scheme allows it."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import islice
-from typing import Any
+from math import prod
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, instance, integer
-from rhl._files import header, write_whole
-from rhl.closed_loop import Step, closed_loop
-from rhl.controllability import controllability_margin
-from rhl.disturbances import Disturbances
+from rhl import _engine
+from rhl._checks import Array, choice, describe, integer
+from rhl.closed_loop import ControllerState, Step, advance, check_loop, moved, output, start, step
+from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError
-from rhl.horizon import Plan
+from rhl.lifting import remember
+from rhl.model import SignalModel
 from rhl.plants.base import Plant
+from rhl.plants.linear import LinearPlant
+from rhl.schedules import epsilons
 from rhl.scheme import Scheme
+from rhl.trace import Models, Trace
 
+Record = Literal["signals", "models"]
 
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """The steps of a run as arrays whose first axis is k.
-
-    Attributes
-    ----------
-    scheme : Scheme
-        What ran.
-    steps : tuple of Step
-        Every k, in order.
-
-    Examples
-    --------
-    >>> from rhl.paper.published import linear_example
-    >>> trace = linear_example().run()
-    >>> len(trace), trace.y.shape, trace.margin_augmented.shape
-    (42, (42, 1), (42,))
-    >>> bool(trace.plan(7).residual() < 1e-9)
-    True
-    >>> list(trace.columns())
-    ['k', 'y1', 'v1', 'yhat1', 'z1', 'z2', 'z3', 'weight', 'lambda']
-    """
-
-    scheme: Scheme
-    steps: tuple[Step, ...]
-
-    def __post_init__(self) -> None:
-        instance("scheme", self.scheme, Scheme)
-        steps: Any = self.steps
-        if not isinstance(steps, (tuple, list)) or not all(isinstance(done, Step) for done in steps):
-            raise InputError(f"steps must be a tuple of Step, got {describe(steps)}")
-        object.__setattr__(self, "steps", tuple(steps))
-        if not self.steps:
-            raise InputError("a trace must have at least one step, got none")
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-    @cached_property
-    def k(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-        """Step numbers, shape (steps,)."""
-        return np.array([done.k for done in self.steps])
-
-    @cached_property
-    def y(self) -> Array:
-        """Outputs y(k), shape (steps, ..., p)."""
-        return np.stack([done.y for done in self.steps])
-
-    @cached_property
-    def v(self) -> Array:
-        """Inputs v(k), shape (steps, ..., q)."""
-        return np.stack([done.v for done in self.steps])
-
-    @cached_property
-    def y_hat(self) -> Array:
-        """Predictions of y(k) made at k-1 (y(0) at k = 0), shape (steps, ..., p)."""
-        return np.stack([done.y_hat for done in self.steps])
-
-    @cached_property
-    def z(self) -> Array:
-        """The plant's states z(k), shape (steps, ..., n)."""
-        if any(done.z is None for done in self.steps):
-            raise InputError("a trace of recorded data has no plant state; run the scheme on a plant to have one")
-        return np.stack([done.z for done in self.steps if done.z is not None])
-
-    @cached_property
-    def theta(self) -> Array:
-        """Estimates theta~(k) = [vec(A); vec(B)], shape (steps, ..., n(n+q))."""
-        return np.stack([done.model.theta for done in self.steps])
-
-    @cached_property
-    def lam(self) -> Array:
-        """Mixing weights lambda_k, shape (steps, ...)."""
-        return np.stack([done.lam for done in self.steps])
-
-    @cached_property
-    def weight(self) -> Array:
-        """The controller's Gamma(x)/eps(k), shape (steps, ...)."""
-        return np.stack([np.asarray(done.problem.weight) for done in self.steps])
-
-    @cached_property
-    def newton_decrement(self) -> Array:
-        """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
-        estimator, lifting = self.scheme.estimator, self.scheme.lifting
-        rows = []
-        for done in self.steps:
-            memory = done.memory
-            x = lifting.lift(memory.y, estimator.window + 1)
-            u = lifting.window(memory.v, lifting.inputs, estimator.window)
-            rows.append(estimator.newton_decrement(done.estimate, memory.model, x, u, done.k))
-        return np.stack(rows)
-
-    @cached_property
-    def margin_lifted(self) -> Array:
-        """Smallest singular value of the lifted pair's controllability matrix, shape (steps, ...)."""
-        return np.stack([controllability_margin(done.model) for done in self.steps])
-
-    @cached_property
-    def margin_augmented(self) -> Array:
-        """The same for Remark 4's augmented pair, which is the one the controller uses, shape (steps, ...)."""
-        return np.stack([controllability_margin(self.scheme.lifting.augment(done.model)) for done in self.steps])
-
-    def plan(self, k: int) -> Plan:
-        """Return what was planned at step k: inputs, predicted signals, certificate."""
-        if integer("k", k, 0) >= len(self):
-            raise InputError(f"k must be below the number of steps, {len(self)}, got {k}")
-        return self.steps[k].plan
-
-    def columns(self) -> dict[str, Array]:
-        """Return the columns k, y1.., v1.., yhat1.., z1.., weight, lambda of one run, each of shape (steps,)."""
-        if self.y.ndim != 2:
-            raise InputError(f"a table holds one run, got a batch of shape {self.y.shape[1:-1]}; take one member")
-        z = np.empty((len(self), 0)) if self.steps[0].z is None else self.z
-        names = header(self.y.shape[1], self.v.shape[1], z.shape[1])
-        values = (self.k, *self.y.T, *self.v.T, *self.y_hat.T, *z.T, self.weight, self.lam)
-        return dict(zip(names, values, strict=True))
-
-    def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
-        columns = self.columns()
-        rows = (
-            ",".join(
-                str(entry) if name == "k" else format(entry, ".17g") for name, entry in zip(columns, row, strict=True)
-            )
-            for row in zip(*columns.values(), strict=True)
-        )
-        write_whole(path, "\n".join([",".join(columns), *rows]) + "\n")
+# Steps that the compiled loop takes before it looks up: for progress, and for Ctrl-C.
+_PART = 256
 
 
 def simulate(
@@ -157,37 +34,43 @@ def simulate(
     plant: Plant,
     z0: ArrayLike,
     steps: int,
-    progress: Callable[[Step], None] | None = None,
     *,
+    record: Record | None = None,
+    progress: Callable[[Trace], None] | None = None,
     sensor: Disturbances | None = None,
     actuator: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Trace:
-    """Run the scheme on a plant and collect what happened.
+    """Run the scheme on a plant and record what happened.
 
     Parameters
     ----------
     scheme : Scheme
         What was chosen beforehand.
     plant : Plant
-        The plant.
+        The plant; a linear one may hold another F, G, H for each member of a batch.
     z0 : array_like, shape (..., n)
-        Initial state.
+        Initial state; leading axes run that many loops at once.
     steps : int
         Number of rows, k = 0 ... steps-1.
+    record : {"signals", "models"}, optional
+        "signals": y, v and z; what else a trace can tell it works out when asked for. "models": the estimates too, so
+        that this is quicker, at 16 n (n + q) bytes a step and member. Where omitted, models of one loop, signals of a
+        batch.
     progress : callable, optional
-        Called with each finished step.
+        Called now and then with the trace so far.
     sensor, actuator, applied_known
         What errs between scheme and plant, as in ``closed_loop``.
 
     Returns
     -------
     Trace
+        Members of a batch that leave the range of float64 stay as they were then, and ``diverged_at`` names them.
 
     Raises
     ------
     DivergedError
-        If the run overflows; its ``steps`` are those before.
+        If a run that is no batch leaves the range of float64; its ``trace`` is that of the steps before.
     InputError
         If z0 or the plant do not fit, or steps is below 1.
 
@@ -200,15 +83,266 @@ def simulate(
     True
     """
     integer("steps", steps, 1)
+    if record is not None:
+        choice("record", record, get_args(Record))
     if progress is not None and not callable(progress):
-        raise InputError(f"progress must be a function of a step, got {describe(progress)}")
-    collected: list[Step] = []
-    loop = closed_loop(scheme, plant, z0, sensor=sensor, actuator=actuator, applied_known=applied_known)
+        raise InputError(f"progress must be a function of a trace, got {describe(progress)}")
+    z = check_loop(scheme, plant, z0, applied_known)
+    disturbed = sensor is not None or actuator is not None
+    if isinstance(plant, LinearPlant) and _engine.serves(scheme) and scheme.lifting.basis is None and not disturbed:
+        rows = _Rows.empty(scheme, plant, z.shape[:-1], steps, record, disturbed, applied_known)
+        parts = _compiled(scheme, plant, z, rows)
+    else:
+        y = output(plant, z, 0)
+        lead = np.broadcast_shapes(y.shape[:-1], z.shape[:-1])
+        rows = _Rows.empty(scheme, plant, lead, steps, record, disturbed, applied_known)
+        parts = _stepwise(scheme, plant, np.broadcast_to(z, (*rows.lead, plant.n)), y, rows, sensor, actuator)
+    done = 0
     try:
-        for done in islice(loop, steps):
-            collected.append(done)
+        for done in parts:
             if progress is not None:
-                progress(done)
+                progress(rows.trace(done))
     except DivergedError as error:
-        raise DivergedError(error.k, error.what, tuple(collected)) from error
-    return Trace(scheme, tuple(collected))
+        raise DivergedError(error.k, error.what, rows.trace(error.k) if error.k else None) from error
+    return rows.trace(done)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What a run records, row by row; members of the batch lie along the second axis."""
+
+    scheme: Scheme
+    lead: tuple[int, ...]
+    y: Array
+    v: Array
+    z: Array
+    computed: Array | None
+    estimate: Array
+    model: Array
+    lam: Array
+    stage: np.ndarray | None
+    diverged_at: np.ndarray
+    applied_known: bool
+
+    @classmethod
+    def empty(
+        cls,
+        scheme: Scheme,
+        plant: Plant,
+        lead: tuple[int, ...],
+        steps: int,
+        record: Record | None,
+        disturbed: bool,
+        applied_known: bool,
+    ) -> _Rows:
+        """Make room for a run."""
+        start, n, q = scheme.initial_model, scheme.initial_model.n, scheme.initial_model.q
+        lead = np.broadcast_shapes(lead, start.A.shape[:-2], *(factor.shape[:-2] for factor in scheme.factors))
+        members = prod(lead)
+        kept = steps if record == "models" or (record is None and not lead) else 0
+        return cls(
+            scheme,
+            lead,
+            np.empty((steps, members, scheme.p)),
+            np.empty((steps, members, scheme.q)),
+            np.empty((steps, members, plant.n)),
+            np.empty((steps, members, scheme.q)) if disturbed else None,
+            np.zeros((kept, members, n, n + q)),
+            np.zeros((kept, members, n, n + q)),
+            np.zeros((kept, members)),
+            np.zeros((kept, members), dtype=np.int64) if scheme.controller.adaptive else None,
+            np.full(members, -1),
+            applied_known,
+        )
+
+    @property
+    def keeps_models(self) -> bool:
+        """Whether estimates are recorded."""
+        return len(self.model) > 0
+
+    def freeze(self, first: int, stop: int) -> None:
+        """Let the rows of members that have diverged stay as they were before."""
+        for member in np.flatnonzero((self.diverged_at >= 0) & (self.diverged_at < stop)):
+            k = max(first, self.diverged_at[member])
+            for rows in (self.y, self.v, self.z, self.computed):
+                if rows is not None:
+                    rows[k:stop, member] = rows[k - 1, member] if k else 0.0
+
+    def checked(self, found: ArrayLike, k: int, instead: Array) -> Array:
+        """Return a signal with something else where it is not finite; those members have diverged."""
+        signal = np.asarray(found, dtype=np.float64)
+        fine = np.all(np.isfinite(signal), axis=-1) & (self.diverged_at < 0).reshape(self.lead)
+        self.diverged_at[(~fine).reshape(-1) & (self.diverged_at < 0)] = k
+        return signal if np.all(fine) else np.where(fine[..., None], signal, instead)
+
+    def trace(self, count: int) -> Trace:
+        """Return the first rows as a trace, without copying them."""
+
+        def shaped(rows: np.ndarray) -> np.ndarray:
+            return rows[:count].reshape(min(count, len(rows)), *self.lead, *rows.shape[2:])
+
+        models = None
+        if self.keeps_models:
+            stage = None if self.stage is None else shaped(self.stage)
+            models = Models(shaped(self.estimate), shaped(self.model), shaped(self.lam), stage)
+        diverged = np.where(self.diverged_at < count, self.diverged_at, -1).reshape(self.lead)
+        computed = None if self.computed is None else shaped(self.computed)
+        y, v, z = shaped(self.y), shaped(self.v), shaped(self.z)
+        return Trace(self.scheme, y, v, z, computed, self.applied_known, models, diverged)
+
+
+def _compiled(scheme: Scheme, plant: LinearPlant, z: Array, rows: _Rows) -> Iterator[int]:
+    """Run a linear plant in the compiled loop; yield how many rows are done."""
+    blocks = _engine.begin(scheme, rows.lead, (plant.F, plant.G, plant.H), z)
+    rows.lam[:] = blocks[0].estimator[2]
+    for first in range(0, len(rows.y), _PART):
+        stop = min(first + _PART, len(rows.y))
+        epsilon = epsilons(scheme.controller.epsilon, first, stop)
+        for block in blocks:
+            at = slice(first, stop), block.members
+            signals, models = _engine.run(block, first, epsilon, None, rows.keeps_models)
+            for kept, found in zip((rows.y, rows.v, rows.z), signals, strict=True):
+                kept[at] = np.moveaxis(found, -1, 1)
+            if rows.keeps_models:
+                rows.estimate[at], rows.model[at] = (np.moveaxis(found, -1, 1) for found in models)
+            rows.diverged_at[block.members] = block.diverged_at
+        if not rows.lead and 0 <= rows.diverged_at[0] <= stop:
+            yield from _diverged(scheme, plant, rows)
+        rows.freeze(first, stop)
+        yield stop
+
+
+def _diverged(scheme: Scheme, plant: Plant, rows: _Rows) -> Iterator[int]:
+    """Yield the rows before a run alone left the range of float64; then take that step again, to say in words how."""
+    k = int(rows.diverged_at[0])
+    if k:
+        yield k
+    if k < len(rows.y):
+        if k and not np.all(np.isfinite(moved(plant, rows.z[k - 1, 0], rows.v[k - 1, 0]))):
+            raise DivergedError(k, "the plant's state is no longer finite")
+        _taken_again(scheme, rows, k, output(plant, rows.z[k, 0], k))
+
+
+def _taken_again(scheme: Scheme, rows: _Rows, k: int, y: Array) -> None:
+    """Take the step at which a run alone left the range of float64 once more, which names the number that did."""
+    step(scheme, advance(scheme, rows.trace(k).steps[-1]) if k else start(scheme), y)
+    raise DivergedError(k, "the input is no longer finite")
+
+
+def _stepwise(
+    scheme: Scheme,
+    plant: Plant,
+    z: Array,
+    y: Array,
+    rows: _Rows,
+    sensor: Disturbances | None,
+    actuator: Disturbances | None,
+) -> Iterator[int]:
+    """Run any scheme on any plant, step by step; yield how many rows are done."""
+    controller = (_Compiled if _engine.serves(scheme) else _General)(scheme, rows)
+    for k in range(len(rows.y)):
+        if k:
+            y = output(plant, z, k) if not rows.lead else rows.checked(plant.output(z), k, np.zeros(scheme.p))
+        measured = through("sensor", sensor, k, np.broadcast_to(y, (*rows.lead, scheme.p)))
+        computed = controller.step(k, measured.reshape(-1, scheme.p)).reshape(*rows.lead, scheme.q)
+        applied = through("actuator", actuator, k, computed)
+        for kept, found in ((rows.y, measured), (rows.v, applied), (rows.z, z), (rows.computed, computed)):
+            if kept is not None:
+                kept[k] = np.reshape(found, kept.shape[1:])
+        rows.freeze(k, k + 1)
+        yield k + 1
+        if k + 1 == len(rows.y):
+            return
+        after = moved(plant, z, applied)
+        if not rows.lead and not np.all(np.isfinite(after)):
+            raise DivergedError(k + 1, "the plant's state is no longer finite")
+        z = rows.checked(after, k + 1, z)
+        controller.remember((applied if rows.applied_known else computed).reshape(-1, scheme.q))
+
+
+class _Compiled:
+    """The scheme's steps by the compiled loop, on a plant of the caller's."""
+
+    def __init__(self, scheme: Scheme, rows: _Rows) -> None:
+        self.scheme, self.rows = scheme, rows
+        self.blocks = _engine.begin(scheme, rows.lead, None, np.empty(0))
+        self.history = np.zeros((len(rows.diverged_at), scheme.lifting.outputs, scheme.p))
+        rows.lam[:] = self.blocks[0].estimator[2]
+
+    def step(self, k: int, y: Array) -> Array:
+        rows, lifting = self.rows, self.scheme.lifting
+        self.history = remember(self.history, y)
+        x = lifting.lift(self.history, 1)[:, 0]
+        epsilon, v = epsilons(self.scheme.controller.epsilon, k, k + 1), np.empty((len(y), self.scheme.q))
+        for block in self.blocks:
+            at, lifted = block.members, np.ascontiguousarray(x[block.members].T)[None]
+            block.diverged_at[:] = rows.diverged_at[at]
+            (_, found, _), models = _engine.run(block, k, epsilon, lifted, rows.keeps_models)
+            v[at] = found[0].T
+            if rows.keeps_models:
+                rows.estimate[k, at], rows.model[k, at] = (np.moveaxis(found[0], -1, 0) for found in models)
+            rows.diverged_at[at] = block.diverged_at
+        if not rows.lead and rows.diverged_at[0] >= 0:
+            _taken_again(self.scheme, rows, k, y[0])
+        v[rows.diverged_at >= 0] = 0.0
+        return v
+
+    def remember(self, v: Array) -> None:
+        for block in self.blocks:
+            block.state[2][:] = v[block.members].T
+
+
+class _General:
+    """The steps of any scheme, for the members of a batch that have not diverged."""
+
+    def __init__(self, scheme: Scheme, rows: _Rows) -> None:
+        self.scheme, self.rows = scheme, rows
+        begun, members = start(scheme), len(rows.diverged_at)
+        model = scheme.initial_model
+        A, B = (np.broadcast_to(M, (*rows.lead, *M.shape[-2:])).reshape(-1, *M.shape[-2:]) for M in (model.A, model.B))
+        y, v = (np.broadcast_to(past, (members, *past.shape)) for past in (begun.y, begun.v))
+        self.active, self.state = np.arange(members), ControllerState(0, y, v, SignalModel(A, B))
+        self.done: Step | None = None
+
+    def step(self, k: int, y: Array) -> Array:
+        rows = self.rows
+        self._keep(rows.diverged_at[self.active] < 0)
+        try:
+            done = step(self.scheme, self.state, y[self.active])
+        except DivergedError:
+            if not rows.lead:
+                raise
+            lost = [self._diverges(i, y) for i in range(len(self.active))]
+            rows.diverged_at[self.active[lost]] = k
+            self._keep(~np.array(lost))
+            done = step(self.scheme, self.state, y[self.active])
+        self.done, v = done, np.zeros((len(y), self.scheme.q))
+        v[self.active] = done.v_computed
+        if rows.keeps_models:
+            for kept, found in ((rows.estimate, done.estimate), (rows.model, done.model)):
+                kept[k, self.active] = np.concatenate([found.A, found.B], axis=-1)
+            rows.lam[k, self.active] = done.lam
+            if rows.stage is not None:
+                rows.stage[k, self.active] = done.stage
+        return v
+
+    def remember(self, v: Array) -> None:
+        assert self.done is not None
+        self.state = advance(self.scheme, self.done, v[self.active])
+
+    def _diverges(self, i: int, y: Array) -> bool:
+        try:
+            step(self.scheme, _members(self.state, np.array([i])), y[self.active[[i]]])
+        except DivergedError:
+            return True
+        return False
+
+    def _keep(self, those: np.ndarray) -> None:
+        if not np.all(those):
+            self.active, self.state = self.active[those], _members(self.state, np.flatnonzero(those))
+
+
+def _members(state: ControllerState, which: np.ndarray) -> ControllerState:
+    model = SignalModel(state.model.A[which], state.model.B[which])
+    stage, value = (None if of is None else of[which] for of in (state.stage, state.value))
+    return ControllerState(state.k, state.y[which], state.v[which], model, stage, value)

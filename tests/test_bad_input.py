@@ -29,7 +29,8 @@ from rhl.plants.analysis import detectability, linearise, observable_part, rough
 from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.scheme import Controller, Scheme, default_scheme
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 from tests.bad_input import faults, listing, refusal
 
 ONE = SignalModel([[1.0]], [[1.0]])
@@ -485,8 +486,8 @@ API = [
     ("sensor a number", lambda: run(sensor=3), r"^the sensor must take \(k, signal\) .*got TypeError", None),
     # closed loop, trace
     ("no scheme", lambda: start(None), r"^scheme must be a Scheme, got None", None),
-    ("no memory", lambda: step(SCHEME, None, [1.0]), r"^memory must be a ControllerState, got None", None),
-    ("y of another size", lambda: step(SCHEME, STEP.memory, [1.0, 2.0]), r"^y must have shape \(1,\), got", None),
+    ("no state", lambda: step(SCHEME, None, [1.0]), r"^state must be a ControllerState, got None", None),
+    ("y of another size", lambda: step(SCHEME, STEP.state, [1.0, 2.0]), r"^y must have shape \(1,\), got", None),
     ("no plant", lambda: run(plant=3), r"^plant must be a plant .*got 3 without n", None),
     ("z0 of another size", lambda: run(z0=[1.0, 2.0]), r"^z0 must have shape \(1,\), got \(2,\)", None),
     (
@@ -509,8 +510,15 @@ API = [
         r"^v must have the batch axes .*got \(1, 1\)",
         None,
     ),
-    ("a trace of nothing", lambda: Trace(SCHEME, ()), r"^a trace must have at least one step, got none", None),
-    ("a trace of numbers", lambda: Trace(SCHEME, (1, 2)), r"^steps must be a tuple of Step, got \(1, 2\)", None),
+    ("a trace of nothing", lambda: Trace.of_steps(SCHEME, ()), r"^a trace must have at least one step, got none", None),
+    ("a trace of lists", lambda: Trace(SCHEME, [[1.0]], [[1.0]]), r"^y must be an array of float64 of shape", None),
+    ("a trace of NaN", lambda: Trace(SCHEME, np.full((1, 1), np.nan), np.ones((1, 1))), r"^y must be finite", None),
+    (
+        "a trace of numbers",
+        lambda: Trace.of_steps(SCHEME, (1, 2)),
+        r"^steps must be a tuple of Step, got \(1, 2\)",
+        None,
+    ),
     ("plan beyond the end", lambda: TRACE.plan(3), r"^k must be below the number of steps, 3, got 3", None),
     ("csv into a folder", lambda: TRACE.to_csv("."), r"^\. must be a writable file, got: ", None),
     ("csv to None", lambda: TRACE.to_csv(None), r"^None must be a writable file, got: ", None),

@@ -74,7 +74,7 @@ def made(request):
 def test_signals_are_lifted_as_the_paper_says(made):
     steps, (N_y, N_v) = run(made), (made.lifting.outputs, made.lifting.inputs)
     y = {done.k: done.y for done in steps}
-    v = {done.k: done.v for done in steps}
+    v = {done.k: done.v_applied for done in steps}
     for done in steps:
         past_y = [y.get(done.k - i, np.zeros(1)) for i in range(N_y)]
         past_v = [v.get(done.k - i, np.zeros(1)) for i in range(1, N_v)]
@@ -86,7 +86,7 @@ def test_signals_are_lifted_as_the_paper_says(made):
 def test_prediction_is_the_model_of_the_step_before(made):
     steps, (N_y, N_v) = run(made), (made.lifting.outputs, made.lifting.inputs)
     assert np.array_equal(steps[0].y_hat, steps[0].y)
-    v = {done.k: done.v for done in steps}
+    v = {done.k: done.v_applied for done in steps}
     y = {done.k: done.y for done in steps}
     for before, done in pairwise(steps):
         x = np.concatenate([y.get(before.k - i, np.zeros(1)) for i in range(N_y)])
@@ -98,7 +98,7 @@ def test_estimate_is_a_proximal_step_from_the_mixed_model(made):
     previous = made.initial_model
     for done in run(made):
         close(done.model.theta, (1 - done.lam) * done.estimate.theta + done.lam * previous.theta)
-        assert np.array_equal(done.memory.model.theta, previous.theta)
+        assert np.array_equal(done.state.model.theta, previous.theta)
         previous = done.model
 
 
@@ -110,10 +110,10 @@ def test_first_step_leaves_the_model(made):
 def test_model_delay(delay):
     made = scheme(model_delay=delay)
     for done in run(made):
-        used = done.memory.model if delay else done.model
+        used = done.state.model if delay else done.model
         assert np.array_equal(done.problem.model.theta, made.lifting.augment(used).theta)
     others = run(scheme(model_delay=1 - delay))
-    assert np.max(np.abs(others[2].v - run(made)[2].v)) > 1e-3
+    assert np.max(np.abs(others[2].v_applied - run(made)[2].v_applied)) > 1e-3
 
 
 def test_every_plan_certifies_itself(made):
@@ -124,8 +124,8 @@ def test_the_plant_is_driven_by_the_first_inputs(made):
     steps = run(made)
     assert np.array_equal(steps[0].z, Z0)
     for done, after in pairwise(steps):
-        assert np.array_equal(done.v, done.plan.u[0])
-        assert np.array_equal(after.z, PLANT.step(done.z, done.v))
+        assert np.array_equal(done.v_applied, done.plan.u[0])
+        assert np.array_equal(after.z, PLANT.step(done.z, done.v_applied))
         assert np.array_equal(done.y, PLANT.output(done.z))
 
 
@@ -140,20 +140,20 @@ def test_a_loop_that_works_brings_the_state_down():
 
 
 def test_step_and_advance_by_hand_are_the_loop(made):
-    memory, z = start(made), Z0
+    state, z = start(made), Z0
     for done in run(made):
-        by_hand = step(made, memory, PLANT.output(z))
-        assert np.array_equal(by_hand.v, done.v)
+        by_hand = step(made, state, PLANT.output(z))
+        assert np.array_equal(by_hand.v_applied, done.v_applied)
         assert by_hand.z is None
-        memory, z = advance(made, by_hand), PLANT.step(z, by_hand.v)
-        assert memory.k == done.k + 1
+        state, z = advance(made, by_hand), PLANT.step(z, by_hand.v_applied)
+        assert state.k == done.k + 1
 
 
 def test_replay_of_a_run_gives_its_inputs(made):
     steps = run(made)
-    again = list(replay(made, [done.y for done in steps], [done.v for done in steps]))
+    again = list(replay(made, [done.y for done in steps], [done.v_applied for done in steps]))
     for done, replayed in zip(steps, again, strict=True):
-        assert np.array_equal(replayed.v, done.v)
+        assert np.array_equal(replayed.v_computed, done.v_applied)
         assert np.array_equal(replayed.y_hat, done.y_hat)
         assert np.array_equal(replayed.model.theta, done.model.theta)
         assert replayed.z is None
@@ -161,17 +161,17 @@ def test_replay_of_a_run_gives_its_inputs(made):
 
 def test_replay_of_other_inputs_gives_other_answers():
     steps = run(SCHEMES["plain"])
-    v = np.stack([done.v for done in steps])
+    v = np.stack([done.v_applied for done in steps])
     v[3] += 1.0
     again = list(replay(SCHEMES["plain"], [done.y for done in steps], v))
     # What is applied at k = 3 is seen from k = 4 on.
-    assert all(np.array_equal(again[k].v, steps[k].v) for k in range(4))
-    assert np.max(np.abs(again[4].v - steps[4].v)) > 1e-3
+    assert all(np.array_equal(again[k].v_computed, steps[k].v_applied) for k in range(4))
+    assert np.max(np.abs(again[4].v_computed - steps[4].v_applied)) > 1e-3
 
 
 def test_runs_repeat_to_the_bit(made):
     for one, other in zip(run(made), run(made), strict=True):
-        assert np.array_equal(one.v, other.v)
+        assert np.array_equal(one.v_applied, other.v_applied)
         assert np.array_equal(one.model.theta, other.model.theta)
 
 
@@ -179,10 +179,10 @@ def test_runs_repeat_to_the_bit(made):
 def test_batch_of_starts_is_that_many_loops(made, lead):
     starts = np.random.default_rng(SEED).standard_normal((*lead, 2))
     together = run(made, z0=starts)
-    assert together[0].v.shape == (*lead, 1)
+    assert together[0].v_applied.shape == (*lead, 1)
     for index in np.ndindex(lead):
         for done, alone in zip(together, run(made, z0=starts[index]), strict=True):
-            close(done.v[index], alone.v)
+            close(done.v_applied[index], alone.v_applied)
             close(done.model.theta[index], alone.model.theta)
             close(done.z[index], alone.z)
 
@@ -192,7 +192,7 @@ def test_batch_of_plants_is_that_many_loops():
     together = run(SCHEMES["plain"], plant=LinearPlant(F, PLANT.G, PLANT.H), z0=np.tile(Z0, (3, 1)))
     for i in range(3):
         for done, alone in zip(together, run(SCHEMES["plain"], plant=LinearPlant(F[i], PLANT.G, PLANT.H)), strict=True):
-            close(done.v[i], alone.v)
+            close(done.v_applied[i], alone.v_applied)
 
 
 def test_several_inputs_and_outputs():
@@ -220,7 +220,7 @@ def test_without_disturbances_nothing_is_changed(made):
     passing = {"sensor": lambda k, y: y, "actuator": lambda k, v: v}
     for known in (True, False):
         for one, other in zip(run(made), run_with(made, applied_known=known, **passing), strict=True):
-            assert np.array_equal(one.v, other.v)
+            assert np.array_equal(one.v_applied, other.v_applied)
             assert np.array_equal(one.model.theta, other.model.theta)
             assert np.array_equal(one.z, other.z)
 
@@ -230,8 +230,8 @@ def test_a_sensor_stands_before_the_scheme():
     steps = run_with(SCHEMES["plain"], sensor=sensor)
     for done, after in pairwise(steps):
         assert np.array_equal(done.y, sensor(done.k, PLANT.output(done.z)))
-        assert np.array_equal(after.memory.y[1], done.y)  # what is remembered is what was measured
-        assert np.array_equal(after.z, PLANT.step(done.z, done.v))
+        assert np.array_equal(after.state.y[0], done.y)  # what is remembered is what was measured
+        assert np.array_equal(after.z, PLANT.step(done.z, done.v_applied))
         assert not np.array_equal(done.y, PLANT.output(done.z))
 
 
@@ -239,7 +239,7 @@ def test_sensors_in_a_tuple_are_one_after_the_other():
     noisy, wrong = GaussianNoise(0.1, SEED), Outliers(0.5, 3.0, SEED)
     together = run_with(SCHEMES["plain"], sensor=(noisy, wrong))
     nested = run_with(SCHEMES["plain"], sensor=lambda k, y: wrong(k, noisy(k, y)))
-    assert all(np.array_equal(one.v, other.v) for one, other in zip(together, nested, strict=True))
+    assert all(np.array_equal(one.v_applied, other.v_applied) for one, other in zip(together, nested, strict=True))
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -250,10 +250,10 @@ def test_an_actuator_stands_before_the_plant(known):
     clipped = 0
     for done, after in pairwise(steps):
         computed = done.plan.u[..., 0, :]
-        assert np.array_equal(done.v, box(done.k, computed))
-        assert np.array_equal(after.z, PLANT.step(done.z, done.v))
-        assert np.array_equal(after.memory.v[0], done.v if known else computed)
-        clipped += not np.array_equal(done.v, computed)
+        assert np.array_equal(done.v_applied, box(done.k, computed))
+        assert np.array_equal(after.z, PLANT.step(done.z, done.v_applied))
+        assert np.array_equal(after.state.v[0], done.v_applied if known else computed)
+        clipped += not np.array_equal(done.v_applied, computed)
     assert clipped > 0
 
 
@@ -267,9 +267,9 @@ def test_what_is_known_of_the_actuator_matters():
 def test_a_saturated_replay_is_the_run():
     """Replayed with the inputs that were applied, the scheme computes what it did with the actuator known."""
     steps = run_with(SCHEMES["plain"], sensor=Outliers(0.2, 3.0, SEED), actuator=Saturation(-0.1, 0.1))
-    again = replay(SCHEMES["plain"], [done.y for done in steps], [done.v for done in steps])
+    again = replay(SCHEMES["plain"], [done.y for done in steps], [done.v_applied for done in steps])
     for done, replayed in zip(steps, again, strict=True):
-        assert np.array_equal(replayed.v, done.plan.u[..., 0, :])
+        assert np.array_equal(replayed.v_computed, done.plan.u[..., 0, :])
         assert np.array_equal(replayed.model.theta, done.model.theta)
 
 
@@ -293,8 +293,8 @@ def test_disturbances_refused(disturbances, sentence):
 def test_without_adaption_the_stage_is_the_step(made):
     for done in run(made):
         assert np.array_equal(done.stage, done.k)
-        assert done.memory.stage is None
-        assert done.memory.value is None
+        assert done.state.stage is None
+        assert done.state.value is None
 
 
 @pytest.mark.parametrize("delay", [0, 1])
@@ -306,7 +306,7 @@ def test_stage_moves_only_where_the_value_did_not_fall(delay):
     moved = np.zeros(8, dtype=int)
     for before, done in pairwise(steps):
         assert np.array_equal(done.stage - before.stage, (done.stage > before.stage))
-        used = made.lifting.augment(done.memory.model if delay else done.model)
+        used = made.lifting.augment(done.state.model if delay else done.model)
         kept = solve(made.controller.problem(used, done.plan.x[..., 0, :], before.stage), done.plan.x[..., 0, :])
         assert np.array_equal(done.stage > before.stage, (kept.value >= before.plan.value) & (kept.value > 0))
         gamma = np.sum(done.plan.x[..., 0, :] ** 2, axis=-1)
@@ -323,14 +323,14 @@ def test_adaptive_batches_agree_with_members():
     for index in np.ndindex(2, 3):
         for done, alone in zip(together, run(made, z0=starts[index]), strict=True):
             assert done.stage[index] == alone.stage
-            close(done.v[index], alone.v)
+            close(done.v_applied[index], alone.v_applied)
             close(done.model.theta[index], alone.model.theta)
 
 
 def test_adaption_makes_a_difference_and_still_brings_the_state_down():
     plain, adaptive = run(scheme(), steps=60), run(scheme(adaptive=True), steps=60)
     # By far more than two runs that take the same operations differ.
-    assert np.max(np.abs(plain[5].v - adaptive[5].v)) > 1e-8
+    assert np.max(np.abs(plain[5].v_applied - adaptive[5].v_applied)) > 1e-8
     assert adaptive[-1].stage < 59
     assert np.linalg.norm(adaptive[-1].z) < 1e-3 * np.linalg.norm(Z0)
 
@@ -338,7 +338,7 @@ def test_adaption_makes_a_difference_and_still_brings_the_state_down():
 def test_at_rest_the_stage_stays():
     """V1 is zero and cannot fall; that is no reason to press harder."""
     steps = run(scheme(adaptive=True), z0=np.zeros(2))
-    assert not any(np.any(done.stage) or np.any(done.v) for done in steps)
+    assert not any(np.any(done.stage) or np.any(done.v_applied) for done in steps)
 
 
 # Immutability
@@ -353,7 +353,7 @@ def arrays_in(value):
             yield from arrays_in(getattr(value, entry.name))
 
 
-@pytest.mark.parametrize("name", ["v", "k", "model"])
+@pytest.mark.parametrize("name", ["v_applied", "state", "model"])
 def test_steps_are_frozen(name):
     done = run(SCHEMES["plain"], steps=1)[0]
     with pytest.raises(FrozenInstanceError):

@@ -37,7 +37,7 @@ from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.analysis import linearise, rough_model, stabilizability
 from rhl.plants.examples import CartPendulum, example, flexible_shaft
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
-from rhl.simulation import Trace
+from rhl.trace import Trace
 from tests.app.test_config import ARM, LINEAR
 from tests.bad_input import faults, listing
 from tests.test_bad_input import (
@@ -164,7 +164,7 @@ CALLS = {
     "z0": lambda v: run(z0=v),
     "sensor": lambda v: run(sensor=v),
     "measured": lambda v: run(sensor=lambda k, y: v),
-    "Trace": lambda v: Trace(SCHEME, v),
+    "Trace": lambda v: Trace(SCHEME, v, v),
     "curve": curve,
     "diagnose": lambda v: diagnose(v, SCHEME),
     "parse": parse,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rhl._riccati import cost_step, truncated_min_norm
+from rhl._riccati import gains, truncated_min_norm
 from tests import oracle
 
 SEED = 2010_05891
@@ -14,7 +14,14 @@ ROUNDING = 1e-12
 def step_data(n, q, lead=()):
     rng = np.random.default_rng([SEED, n, q])
     shapes = {"S": (n, n), "A": (n, n), "B": (n, q), "Q_factor": (n, n), "R_factor": (q, q)}
-    return {name: rng.standard_normal((*lead, *shape)) for name, shape in shapes.items()}
+    data = {name: rng.standard_normal((*lead, *shape)) for name, shape in shapes.items()}
+    return {name: np.triu(M) if name in ("S", "Q_factor", "R_factor") else M for name, M in data.items()}
+
+
+def cost_step(**data):
+    """One stage back, without the axis of stages."""
+    K, V, S = gains(**data, horizon=1)
+    return K[..., 0, :, :], V[..., 0, :, :], S
 
 
 @pytest.mark.parametrize(("n", "q"), [(1, 1), (3, 1), (4, 3), (2, 5)])
@@ -46,7 +53,9 @@ def test_cost_step_completes_the_square():
 
 def test_a_cost_that_spans_thirty_orders_keeps_its_small_part():
     """P = diag(1e30, 1) would forget what is added to its small direction; its factor does not."""
-    K, _, S = cost_step(np.diag([1e15, 1.0]), np.eye(2), np.array([[1.0], [0.0]]), np.eye(2), np.eye(1))
+    K, _, S = cost_step(
+        S=np.diag([1e15, 1.0]), A=np.eye(2), B=np.array([[1.0], [0.0]]), Q_factor=np.eye(2), R_factor=np.eye(1)
+    )
     np.testing.assert_allclose(np.abs(np.diag(S)), [np.sqrt(2), np.sqrt(2)], rtol=ROUNDING)
     np.testing.assert_allclose(K, [[1.0, 0.0]], atol=ROUNDING)
 

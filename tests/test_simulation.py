@@ -1,218 +1,378 @@
-"""A run as arrays, table and file."""
+"""Whole runs: the compiled loop against the scheme taken step by step, batches against their members, what is kept."""
 
-import os
-from dataclasses import FrozenInstanceError
+import subprocess
+import sys
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
 
-from rhl._files import header, write_whole
-from rhl.closed_loop import Step, closed_loop, replay
-from rhl.controllability import controllability_margin
+from rhl import _engine, simulation
+from rhl._lanes import LANES
+from rhl.closed_loop import advance, closed_loop, start, step
+from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.disturbances import GaussianNoise, Saturation
 from rhl.errors import DivergedError, InputError
+from rhl.estimator import ProximalEstimator
+from rhl.lifting import DelayLifting
+from rhl.losses import WeightedSquares
+from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
-from rhl.plants import LinearPlant
-from rhl.simulation import Trace, simulate
+from rhl.plants import FunctionPlant, LinearPlant
+from rhl.schedules import PowerDecay
+from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.simulation import simulate
 
-STEPS = 8
+SEED = 2010_05891
 LINEAR, ROBOT = linear_example(), robot_arm()
 
 
-@pytest.fixture(scope="module")
-def trace():
-    return simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, STEPS)
+def scheme(*, p=1, q=1, outputs=2, inputs=2, window=4, weight=1.0, loss=1.0, mixing=None, **changes):
+    settings = {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 6, "epsilon": PowerDecay(10.0)} | changes
+    return Scheme(
+        DelayLifting(outputs, inputs),
+        ProximalEstimator(window, WeightedSquares(loss), WeightedSquares(weight)),
+        Controller(**settings),
+        SignalModel.companion_of_ones(outputs * p, inputs * q, "eye-last-row-of-ones"),
+        mixing or ConstantMixing(),
+    )
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return simulate(ROBOT.scheme, ROBOT.plant, ROBOT.z0, STEPS)
+PLANT, Z0 = LinearPlant([[1.1, 0.3], [0.0, 0.8]], [[0.5], [1.0]], [[1.0, 0.5]]), np.array([1.0, -2.0])
+WIDE = LinearPlant(np.diag([1.1, 0.9, 0.5]), [[1.0, 0.0], [0.5, 1.0], [0.0, 1.0]], [[1.0, 0, 0], [0, 1.0, 1.0]])
+# The compiled loop's own: every size, delay, mixing and kind of weight that it serves.
+COMPILED = {
+    "plain": (scheme(), PLANT),
+    "delayed": (scheme(model_delay=1), PLANT),
+    "mixed": (scheme(mixing=ConstantMixing(0.5)), PLANT),
+    "no past inputs": (scheme(inputs=1), PLANT),
+    "deep": (scheme(outputs=3, inputs=4), PLANT),
+    "weights of every entry": (
+        scheme(weight=np.linspace(0.1, 2.0, 8), loss=np.linspace(0.5, 1.5, 8)),
+        PLANT,
+    ),
+    "weights that are matrices": (scheme(Q=np.array([[2.0, 1, 0], [1, 2, 0], [0, 0, 1]]), R=np.eye(1)), PLANT),
+    "several inputs and outputs": (scheme(p=2, q=2, outputs=2, inputs=3), WIDE),
+}
+GENERAL = {
+    "search": (scheme(mixing=LambdaSearch()), PLANT),
+    "adaptive": (scheme(adaptive=True), PLANT),
+}
 
 
-def test_it_is_the_closed_loop(trace):
-    steps = list(islice(closed_loop(LINEAR.scheme, LINEAR.plant, LINEAR.z0), STEPS))
-    assert len(trace) == STEPS
-    assert trace.k.tolist() == list(range(STEPS))
-    for name in ("y", "v", "y_hat", "z", "lam"):
-        assert np.array_equal(getattr(trace, name), np.stack([getattr(done, name) for done in steps]))
-    assert np.array_equal(trace.theta, np.stack([done.model.theta for done in steps]))
-    assert np.array_equal(trace.weight, np.stack([done.problem.weight for done in steps]))
+def starts(plant, count):
+    return np.random.default_rng(SEED).standard_normal((count, plant.n))
 
 
-def test_shapes(trace, robot):
-    assert [getattr(trace, name).shape[1:] for name in ("y", "v", "y_hat", "z", "theta")] == [
-        (1,),
-        (1,),
-        (1,),
-        (3,),
-        (32,),
-    ]
-    assert [getattr(robot, name).shape[1:] for name in ("y", "v", "y_hat", "z", "theta")] == [
-        (3,),
-        (1,),
-        (3,),
-        (3,),
-        (48,),
-    ]
-    assert trace.weight.shape == trace.lam.shape == trace.margin_lifted.shape == (STEPS,)
+@pytest.mark.parametrize("name", [*COMPILED, *GENERAL])
+def test_a_run_is_the_scheme_step_by_step_to_the_last_bit(name):
+    made, plant = (COMPILED | GENERAL)[name]
+    assert _engine.serves(made) == (name in COMPILED)
+    z0 = starts(plant, 1)[0]
+    trace = simulate(made, plant, z0, 30)
+    steps = list(islice(closed_loop(made, plant, z0), 30))
+    # The plant's own sums are taken in another order, so states and outputs are compared from the same data.
+    assert np.allclose(trace.z, np.stack([done.z for done in steps]), rtol=1e-9, atol=1e-9)
+    state = start(made)
+    for k in range(30):
+        done = step(made, state, trace.y[k])
+        assert np.array_equal(done.v_computed, trace.v[k])
+        assert np.array_equal(done.model.theta, trace.theta[k])
+        assert np.array_equal(done.estimate.theta, trace.steps[k].estimate.theta)
+        state = advance(made, done)
 
 
-def test_lambda_and_weight(trace, robot):
-    assert not np.any(trace.lam)
-    assert np.all(robot.lam == 0.5)
-    for k in range(STEPS):
-        state = trace.plan(k).x[0]
-        assert trace.weight[k] == pytest.approx(state @ state * (1 + 100 * k), rel=1e-14)
+def test_the_comparison_to_the_last_bit_can_fail():
+    """Another order of the products than the compiled loop's shows."""
+    trace = simulate(*COMPILED["deep"], Z0, 30)
+    plans = np.stack([trace.plan(k).u[0] for k in range(30)])
+    assert np.array_equal(plans, trace.v)
+    turned = np.stack([trace.plan(k).u[0] * (1 + 2e-16) for k in range(30)])
+    assert not np.array_equal(turned, trace.v)
 
 
-def test_margins(trace):
-    for k, done in enumerate(trace.steps):
-        assert trace.margin_lifted[k] == controllability_margin(done.model)
-        assert trace.margin_augmented[k] == controllability_margin(LINEAR.scheme.lifting.augment(done.model))
-    assert np.max(np.abs(trace.margin_lifted - trace.margin_augmented)) > 0.1
+@pytest.mark.parametrize("name", COMPILED)
+def test_models_that_are_not_recorded_are_those_that_would_have_been(name):
+    made, plant = COMPILED[name]
+    with_models = simulate(made, plant, Z0 if plant is PLANT else np.ones(3), 20, record="models")
+    without = simulate(made, plant, Z0 if plant is PLANT else np.ones(3), 20, record="signals")
+    assert with_models.models is not None
+    assert without.models is None
+    for quantity in ("theta", "lam", "y_hat", "weight", "margin_augmented"):
+        assert np.array_equal(getattr(with_models, quantity), getattr(without, quantity))
+    assert np.array_equal(with_models.plan(7).u, without.plan(7).u)
 
 
-def test_plans_on_demand(trace):
-    plan = trace.plan(3)
-    assert np.array_equal(plan.u[0], trace.v[3])
-    assert plan.x.shape == (21, 7)
-    assert plan.residual() < 1e-12
+def random_plants(count, n=3):
+    rng = np.random.default_rng(SEED)
+    F = rng.standard_normal((count, n, n))
+    F *= (rng.uniform(0.5, 1.2, count) / np.max(np.abs(np.linalg.eigvals(F)), axis=-1))[:, None, None]
+    return LinearPlant(F, rng.standard_normal((count, n, 1)), rng.standard_normal((count, 1, n)))
+
+
+def member(plant, i):
+    return LinearPlant(plant.F[i], plant.G[i], plant.H[i])
+
+
+def test_two_hundred_random_plants_in_a_batch_are_two_hundred_runs():
+    plants, made = random_plants(200), default_scheme(1, 1, 3)
+    z0 = starts(plants, 200)
+    together = simulate(made, plants, z0, 40)
+    assert together.models is None
+    assert np.all(together.diverged_at == -1)
+    for i in range(200):
+        alone = simulate(made, member(plants, i), z0[i], 40)
+        for name in ("y", "v", "z"):
+            assert np.array_equal(getattr(together, name)[:, i], getattr(alone, name))
+
+
+@pytest.mark.parametrize("count", [1, LANES - 1, LANES, LANES + 1, 3 * LANES + 5])
+def test_a_batch_of_any_size(count):
+    made, z0 = COMPILED["delayed"][0], starts(PLANT, count)
+    together = simulate(made, PLANT, z0, 8)
+    for i in {0, count // 2, count - 1}:
+        assert np.array_equal(together.v[:, i], simulate(made, PLANT, z0[i], 8).v)
+
+
+def test_batches_have_any_axes():
+    made, z0 = COMPILED["mixed"][0], starts(PLANT, 6).reshape(2, 3, 2)
+    together = simulate(made, PLANT, z0, 8)
+    assert together.v.shape == (8, 2, 3, 1)
+    assert together.diverged_at.shape == (2, 3)
+    assert np.array_equal(together.v[:, 1, 2], simulate(made, PLANT, z0[1, 2], 8).v)
+    assert together.theta.shape == (8, 2, 3, 8)
+
+
+def test_other_parts_give_the_same_run(monkeypatch):
+    made, plant = COMPILED["plain"]
+    whole = simulate(made, plant, Z0, 23)
+    seen = []
+    monkeypatch.setattr(simulation, "_PART", 5)
+    parts = simulate(made, plant, Z0, 23, progress=lambda trace: seen.append(trace))
+    assert [len(trace) for trace in seen] == [5, 10, 15, 20, 23]
+    for name in ("y", "v", "z", "theta"):
+        assert np.array_equal(getattr(parts, name), getattr(whole, name))
+    assert np.array_equal(seen[1].theta, whole.theta[:10])
+
+
+# A plant of the caller's, and what stands between it and the scheme
+
+
+def as_functions(plant):
+    return FunctionPlant(lambda z, v: plant.F @ z + plant.G @ v, lambda z: plant.H @ z, plant.n, plant.q)
+
+
+@pytest.mark.parametrize("name", [*COMPILED, *GENERAL])
+def test_a_plant_of_functions_runs_as_the_linear_one(name):
+    made, plant = (COMPILED | GENERAL)[name]
+    z0 = starts(plant, 3)
+    linear, own = simulate(made, plant, z0, 12), simulate(made, as_functions(plant), z0, 12)
+    np.testing.assert_allclose(own.v, linear.v, rtol=1e-9, atol=1e-9 * np.max(np.abs(linear.v)))
+    again = simulate(made, as_functions(plant), z0[1], 12)
+    assert np.array_equal(again.v, own.v[:, 1])
+
+
+class Counting:
+    """A plant with a state of its own, such as a machine that moves when it is told to."""
+
+    n, q, p = 1, 1, 1
+
+    def __init__(self):
+        self.moved = 0
+
+    def step(self, z, v):
+        self.moved += 1
+        return 0.5 * z + v
+
+    def output(self, z):
+        return z
+
+
+def test_a_plant_moves_once_a_step_and_not_before():
+    plant = Counting()
+    simulate(default_scheme(1, 1, 1), plant, [1.0], 7)
+    assert plant.moved == 6
+    plant = Counting()
+    next(closed_loop(default_scheme(1, 1, 1), plant, [1.0]))
+    assert plant.moved == 0
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("name", ["plain", "search"])
+def test_disturbances_are_those_of_the_closed_loop(name, known):
+    made, plant = (COMPILED | GENERAL)[name]
+    between = {"sensor": GaussianNoise(0.05, SEED), "actuator": Saturation(-0.3, 0.3), "applied_known": known}
+    trace = simulate(made, plant, Z0, 15, **between)
+    for k, done in enumerate(islice(closed_loop(made, plant, Z0, **between), 15)):
+        assert np.array_equal(trace.y[k], done.y)
+        assert np.array_equal(trace.v[k], done.v_applied)
+        assert np.array_equal(trace.v_computed[k], done.v_computed)
+        assert np.array_equal(trace.steps[k].plan.u, done.plan.u)
+        assert np.array_equal(trace.steps[k].state.v, done.state.v)
+    assert not np.array_equal(trace.v, trace.v_computed)
+
+
+def test_a_recorded_step_can_be_taken_again():
+    """A step's state is the one it started from, whatever came of it."""
+    for made, plant in (COMPILED["delayed"], GENERAL["adaptive"]):
+        for done in simulate(made, plant, Z0, 12).steps:
+            again = step(made, done.state, done.y)
+            assert np.array_equal(again.v_computed, done.v_computed)
+            assert np.array_equal(again.stage, done.stage)
+            assert np.array_equal(again.model.theta, done.model.theta)
+
+
+# Members that diverge
+
+
+def doomed(count, which):
+    """Plants of which some have a mode that the input does not reach and that overflows."""
+    F = np.tile(PLANT.F, (count, 1, 1))
+    G, H = np.tile(PLANT.G, (count, 1, 1)), np.tile(PLANT.H, (count, 1, 1))
+    for i in which:
+        F[i], G[i], H[i] = [[1e30, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]]
+    return LinearPlant(F, G, H)
+
+
+@pytest.mark.parametrize("how", ["compiled", "of functions", "adaptive", "noisy"])
+def test_members_that_diverge_are_frozen_and_the_others_go_on(how):
+    count, which = 70, [3, 66]
+    plants, z0 = doomed(count, which), starts(PLANT, 70)
+    made = scheme(adaptive=how == "adaptive")
+    more = {"sensor": GaussianNoise(0.0, SEED)} if how == "noisy" else {}
+
+    class Several:
+        n, q, p = 2, 1, 1
+        step, output = staticmethod(plants.step), staticmethod(plants.output)
+
+    batch = simulate(made, Several() if how == "of functions" else plants, z0, 20, **more)
+    assert np.flatnonzero(batch.diverged_at >= 0).tolist() == which
+    for i in (0, 3, 20, 66, 69):
+        if i in which:
+            with pytest.raises(DivergedError) as caught:
+                simulate(made, member(plants, i), z0[i], 20, **more)
+            k = caught.value.k
+            assert batch.diverged_at[i] == k
+            assert 0 < k < 20
+            assert len(caught.value.trace) == k
+            for name in ("y", "v", "z"):
+                rows = getattr(batch, name)[:, i]
+                assert np.allclose(rows[:k], getattr(caught.value.trace, name), rtol=1e-9)
+                assert np.all(rows[k:] == rows[k - 1])
+        else:
+            alone = simulate(made, member(plants, i), z0[i], 20, **more)
+            assert np.allclose(batch.z[:, i], alone.z, rtol=1e-9, atol=1e-12)
+    for name in ("y", "v", "z"):
+        assert np.all(np.isfinite(getattr(batch, name)))
+
+
+def test_a_member_that_diverges_at_once():
+    z0 = np.array([[1.0, -2.0], [1e200, 0.0]])
+    batch = simulate(scheme(), PLANT, z0, 5)
+    assert batch.diverged_at.tolist() == [-1, 0]
+    assert not np.any(batch.v[:, 1])
+    with pytest.raises(DivergedError, match="at k = 0: weight must be finite") as caught:
+        simulate(scheme(), PLANT, z0[1], 5)
+    assert caught.value.trace is None
+
+
+@pytest.mark.parametrize("made", [scheme(), scheme(mixing=LambdaSearch())], ids=["compiled", "general"])
+def test_divergence_keeps_the_rows_before(made):
+    plant = LinearPlant([[1e30, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
+    seen = []
+    with pytest.raises(DivergedError, match=r"at k = \d+") as caught:
+        simulate(made, plant, [1.0, 1.0], 50, progress=seen.append)
+    trace = caught.value.trace
+    assert len(trace) == caught.value.k > 0
+    assert np.all(np.isfinite(trace.v))
+    assert len(seen[-1]) == caught.value.k
+
+
+def test_a_step_beyond_the_last_row_is_not_taken():
+    plant = LinearPlant([[1e300]], [[0.0]], [[1e-300]])
+    made = scheme(outputs=1, inputs=1)
+    with pytest.raises(DivergedError, match="at k = 2: the plant's state is no longer finite"):
+        simulate(made, plant, [1.0], 3)
+    for of in (plant, as_functions(plant)):
+        assert len(simulate(made, of, [1.0], 2)) == 2
+
+
+# What is kept
+
+
+def test_a_batch_keeps_at_most_a_hundred_bytes_a_plant_and_step():
+    trace = simulate(LINEAR.scheme, LINEAR.plant, np.tile(LINEAR.z0, (500, 1)), 40)
+    kept = {id(array.base): array.base.nbytes for array in (trace.y, trace.v, trace.z)}
+    assert trace.models is None
+    assert trace.computed is None
+    assert sum(kept.values()) == 40 * 40 * 500
+    with_models = simulate(LINEAR.scheme, LINEAR.plant, np.tile(LINEAR.z0, (500, 1)), 4, record="models")
+    assert with_models.models.model.nbytes == 4 * 500 * 32 * 8
+
+
+def test_a_trace_cannot_be_written_into():
+    trace = simulate(*COMPILED["plain"], Z0, 3)
+    for array in (trace.y, trace.v, trace.z):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
 
 
 @pytest.mark.parametrize(
-    ("k", "sentence"),
+    ("change", "sentence"),
     [
-        (STEPS, f"k must be below the number of steps, {STEPS}, got {STEPS}"),
-        (-1, "k must be an integer of at least 0, got -1"),
+        ({"steps": 0}, "steps must be an integer of at least 1, got 0"),
+        ({"steps": 2.5}, r"steps must be an integer of at least 1, got 2\.5"),
+        ({"record": "plans"}, "record must be one of signals, models, got 'plans'"),
+        ({"progress": 3}, "progress must be a function of a trace, got 3"),
+        ({"z0": [1.0]}, r"z0 must have shape \(3,\), got \(1,\)"),
+        ({"applied_known": 1}, "applied_known must be True or False, got 1"),
     ],
 )
-def test_no_plan_outside(trace, k, sentence):
+def test_refused(change, sentence):
+    given = {"scheme": LINEAR.scheme, "plant": LINEAR.plant, "z0": LINEAR.z0, "steps": 3} | change
     with pytest.raises(InputError, match=sentence):
-        trace.plan(k)
+        simulate(**given)
 
 
-def test_frozen(trace):
-    with pytest.raises(FrozenInstanceError):
-        trace.steps = ()
+def test_a_plant_that_brings_another_shape_is_refused():
+    class Growing(Counting):
+        def step(self, z, v):
+            return np.broadcast_to(0.5 * z + v, (2, 1))
+
+    with pytest.raises(
+        InputError, match=r"the plant's step must return a state of shape \(1,\), as z0 has, got \(2, 1\)"
+    ):
+        simulate(default_scheme(1, 1, 1), Growing(), [1.0], 3)
 
 
-def test_no_steps_no_trace():
-    with pytest.raises(InputError, match="a trace must have at least one step, got none"):
-        Trace(LINEAR.scheme, ())
+def test_an_epsilon_that_rises_is_refused_where_it_does():
+    made = replace(scheme(), controller=Controller(1.0, 1.0, 1.0, 4, lambda k: 1.0 if k != 3 else 2.0))
+    with pytest.raises(InputError, match=r"epsilon must not rise .*, got 2 at k = 3 after 1"):
+        simulate(made, PLANT, Z0, 10)
 
 
-# Tables and files
+# Where there is no compiler
 
 
-def test_columns(trace, robot):
-    assert list(trace.columns()) == ["k", "y1", "v1", "yhat1", "z1", "z2", "z3", "weight", "lambda"]
-    assert list(robot.columns()) == [
-        "k", "y1", "y2", "y3", "v1", "yhat1", "yhat2", "yhat3", "z1", "z2", "z3", "weight", "lambda",
-    ]  # fmt: skip
-    assert np.array_equal(robot.columns()["yhat2"], robot.y_hat[:, 1])
-    assert header(1, 2, 0) == ["k", "y1", "v1", "v2", "yhat1", "weight", "lambda"]
+INTERPRETED = """
+import sys
+sys.modules["numba"] = None
+import numpy as np
+from rhl.paper.published import linear_example
+example = linear_example()
+from rhl import simulate
+print(*(float(v).hex() for v in simulate(example.scheme, example.plant, example.z0, 2).v[:, 0]))
+"""
 
 
-def test_recorded_data_have_no_plant_state(trace):
-    recorded = Trace(LINEAR.scheme, tuple(replay(LINEAR.scheme, trace.y, trace.v)))
-    assert list(recorded.columns()) == ["k", "y1", "v1", "yhat1", "weight", "lambda"]
-    with pytest.raises(InputError, match="a trace of recorded data has no plant state"):
-        _ = recorded.z
+def test_the_loops_also_run_interpreted():
+    done = subprocess.run([sys.executable, "-c", INTERPRETED], capture_output=True, text=True, check=True)
+    compiled = simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, 2).v[:, 0]
+    found = [float.fromhex(word) for word in done.stdout.split()]
+    np.testing.assert_allclose(found, compiled, rtol=1e-12)
 
 
-def test_a_batch_is_no_table():
-    batch = simulate(LINEAR.scheme, LINEAR.plant, np.stack([LINEAR.z0, LINEAR.z0]), 2)
-    assert batch.y.shape == (2, 2, 1)
-    with pytest.raises(InputError, match=r"a table holds one run, got a batch of shape \(2,\); take one member"):
-        batch.columns()
-
-
-@pytest.mark.parametrize("which", ["trace", "robot"])
-def test_csv_round_trip_is_exact_to_the_bit(which, request, tmp_path):
-    run, path = request.getfixturevalue(which), tmp_path / "run.csv"
-    run.to_csv(path)
-    first, *rows = path.read_text(encoding="utf-8").splitlines()
-    assert first == ",".join(run.columns())
-    assert len(rows) == STEPS
-    for text, row in zip(rows, zip(*run.columns().values(), strict=True), strict=True):
-        k, *entries = text.split(",")
-        assert k == str(row[0])
-        assert [float(entry).hex() for entry in entries] == [float(entry).hex() for entry in row[1:]]
-
-
-def test_fewer_digits_would_not_do(trace):
-    sixteen = np.array([float(format(value, ".15g")) for value in trace.v[:, 0]])
-    assert not np.array_equal(sixteen, trace.v[:, 0])
-
-
-def test_a_file_is_whole_or_absent(trace, tmp_path, monkeypatch):
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    target = tmp_path / "run.csv"
-    monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(InputError, match=r"run\.csv must be a writable file, got: No space left on device"):
-        trace.to_csv(target)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_older_file_outlives_a_failure(trace, tmp_path, monkeypatch):
-    target = tmp_path / "run.csv"
-    target.write_text("older")
-
-    def refuse(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(KeyboardInterrupt):
-        trace.to_csv(target)
-    assert target.read_text() == "older"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_a_file_is_replaced(tmp_path):
-    target = tmp_path / "file"
-    write_whole(target, "first\n")
-    write_whole(target, b"second\r\n")
-    assert target.read_bytes() == b"second\r\n"
-    assert target.stat().st_mode & 0o777 == 0o644
-
-
-def test_no_such_folder(tmp_path):
-    with pytest.raises(InputError, match="must be a writable file, got: No such file or directory"):
-        write_whole(tmp_path / "nowhere" / "file", "text")
-
-
-# Running
-
-
-def test_progress_sees_every_step():
-    seen: list[Step] = []
-    run = simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, 3, progress=seen.append)
-    assert all(done is step for done, step in zip(seen, run.steps, strict=True))
-
-
-def test_divergence_keeps_the_steps_before():
-    plant = LinearPlant([[1e30, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
-    with pytest.raises(DivergedError, match=r"at k = \d+") as caught:
-        simulate(LINEAR.scheme, plant, [1.0, 1.0], 50)
-    steps = caught.value.steps
-    assert len(steps) == caught.value.k > 0
-    assert np.all(np.isfinite(Trace(LINEAR.scheme, steps).v))
-
-
-@pytest.mark.parametrize("steps", [0, -1, 2.5])
-def test_refused(steps):
-    with pytest.raises(InputError, match=f"steps must be an integer of at least 1, got {steps}"):
-        simulate(LINEAR.scheme, LINEAR.plant, LINEAR.z0, steps)
-
-
-def test_columns_keep_the_order_of_two_outputs():
-    """The robot arm has three outputs; a column must be that output's, not another's."""
-    run = robot_arm().run()
-    columns = run.columns()
-    for i in range(3):
-        assert np.array_equal(columns[f"y{i + 1}"], run.y[:, i])
-        assert np.array_equal(columns[f"yhat{i + 1}"], run.y_hat[:, i])
-        assert np.array_equal(columns[f"z{i + 1}"], run.z[:, i])
-    assert not np.array_equal(columns["yhat1"], columns["yhat3"])
+def test_the_paper_runs():
+    assert np.max(np.abs(LINEAR.run().z[-1])) < 1
+    assert np.max(np.abs(ROBOT.run().z[-1])) < 1

@@ -28,7 +28,7 @@ from rhl.app.config import load, schema, template
 from rhl.closed_loop import Step
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
 from rhl.paper import published
-from rhl.simulation import Trace
+from rhl.trace import Trace
 
 if TYPE_CHECKING:
     from types import ModuleType

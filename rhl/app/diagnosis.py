@@ -27,7 +27,7 @@ from rhl.plants.analysis import (
 )
 from rhl.plants.base import check_plant
 from rhl.scheme import Scheme
-from rhl.simulation import Trace
+from rhl.trace import Trace
 
 Verdict = Literal["met", "violated", "suspect", "outside", "note"]
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rhl._checks import Array, choice
 from rhl.paper.published import check_length, curve
 from rhl.plotting import differences, held, panels
-from rhl.simulation import Trace
+from rhl.trace import Trace
 
 
 def against_published(ax: Axes, values: Array, name: str, label: str, colour: str = "C0") -> None:

@@ -9,7 +9,7 @@ from importlib import resources
 import numpy as np
 
 from rhl._checks import Array, choice, instance, real_array
-from rhl.closed_loop import Step, replay
+from rhl.closed_loop import replay
 from rhl.controllability import ConstantMixing
 from rhl.disturbances import Disturbances
 from rhl.errors import InputError
@@ -19,7 +19,8 @@ from rhl.model import SignalModel
 from rhl.plants import LinearPlant, Plant, RobotArm
 from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 
 CURVES = {
     "linear_y": "figure 2",
@@ -87,14 +88,14 @@ class Experiment:
     actuator: Disturbances | None = None
     applied_known: bool = True
 
-    def run(self, progress: Callable[[Step], None] | None = None) -> Trace:
-        """Simulate it; ``progress`` is called with each finished step."""
+    def run(self, progress: Callable[[Trace], None] | None = None) -> Trace:
+        """Simulate it; ``progress`` is called now and then with the trace so far."""
         return simulate(
             self.scheme,
             self.plant,
             self.z0,
             self.steps,
-            progress,
+            progress=progress,
             sensor=self.sensor,
             actuator=self.actuator,
             applied_known=self.applied_known,
@@ -175,7 +176,7 @@ def replay_published(*, printed: bool = False) -> Trace:
     """
     scheme = linear_example(printed=printed).scheme
     y, v = curve("linear_y"), curve("linear_u")
-    return Trace(scheme, tuple(replay(scheme, y[:, None], v[:, None])))
+    return Trace.of_steps(scheme, replay(scheme, y[:, None], v[:, None]))
 
 
 @dataclass(frozen=True)
@@ -232,7 +233,7 @@ def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
     for signal, found, name, last in (
         ("y", trace.y[:, 0], "linear_y", 13),
         ("y_hat", trace.y_hat[:, 0], "linear_y_hat", 12),
-        ("v", trace.v[:, 0], "linear_u", 11),
+        ("v", trace.v_computed[:, 0], "linear_u", 11),
         ("x1", trace.z[:, 0], "linear_x1", 13),
     ):
         gap = np.abs(found[: len(curve(name))] - curve(name))
@@ -242,7 +243,7 @@ def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
     rows.append(_largest("Gamma/eps from published y, v", gap, np.arange(len(gap)), _RELATIVE))
     gap = np.abs(back.y_hat[:, 0] - curve("linear_y_hat"))
     rows.append(_largest("y_hat, published data fed back", gap, np.arange(len(gap)), _FED_BACK))
-    gap = np.abs(back.v[:, 0] - curve("linear_u"))
+    gap = np.abs(back.v_computed[:, 0] - curve("linear_u"))
     if printed:
         rows.append(_largest("v, published data fed back", gap, np.arange(len(gap)), _FED_BACK))
     else:

@@ -21,7 +21,6 @@ from rhl.paper.claims.proximal import tangential_turns
 from rhl.paper.published import Experiment, curve, linear_example, robot_arm
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.simulation import Trace
 
 Name = Literal["linear", "robot"]
 
@@ -154,9 +153,9 @@ def record(changed: Experiment) -> dict[str, Any]:
         trace = changed.run()
     except DivergedError as error:
         diverged = error.k
-        if not error.steps:
+        if error.trace is None:
             return {"diverged": diverged}
-        trace = Trace(changed.scheme, error.steps)
+        trace = error.trace
     columns = trace.columns()
     curves = {key: columns[key] for key in columns if key[:-1] in ("y", "v") or key == "weight"}
     curves |= {"margin_lifted": trace.margin_lifted, "margin_augmented": trace.margin_augmented}

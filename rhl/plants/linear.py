@@ -127,6 +127,10 @@ class LinearPlant:
         """Size of the output y."""
         return int(self.H.shape[-2])
 
+    def batch(self, z: Array) -> tuple[int, ...]:
+        """Return the batch axes of the plant's matrices with those of a state, shape (..., n)."""
+        return common_batch(F=(self.F, 2), G=(self.G, 2), H=(self.H, 2), z=(z, 1))
+
     def step(self, z: Array, v: Array) -> Array:
         """Return F z + G v, shape (..., n); InputError if z or v has another length."""
         z, v = check_lengths(z=(z, self.n), v=(v, self.q))

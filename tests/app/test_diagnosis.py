@@ -20,7 +20,8 @@ from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.examples import example
 from rhl.schedules import Constant
 from rhl.scheme import default_scheme
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
 SCHEME = default_scheme(1, 1, 2)

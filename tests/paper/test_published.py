@@ -24,7 +24,8 @@ from rhl.paper.published import (
     robot_arm,
 )
 from rhl.schedules import PowerDecay
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 from tests import oracle
 
 # Published digits end at the 15th; the unstable pole and the transients of the estimator enlarge what is missing.
@@ -135,7 +136,7 @@ def test_fed_back_predictions(back):
 
 
 def test_fed_back_inputs(back):
-    difference = gap(back.v[:, 0], "linear_u")
+    difference = gap(back.v_computed[:, 0], "linear_u")
     others = np.setdiff1d(np.arange(41), UNEXPLAINED)
     assert UNEXPLAINED == (12, 13, 14)
     assert len(others) == 38
@@ -157,7 +158,7 @@ def test_unexplained_inputs_are_no_rounding(back, k, noted):
         problem.horizon,
         done.plan.x[0],
     )
-    assert back.v[k, 0] - curve("linear_u")[k] == pytest.approx(noted, abs=noted_digits)
+    assert back.v_computed[k, 0] - curve("linear_u")[k] == pytest.approx(noted, abs=noted_digits)
     assert float(exact[0]) - curve("linear_u")[k] == pytest.approx(noted, abs=noted_digits)
 
 
@@ -182,7 +183,7 @@ def test_every_input_of_the_fed_back_run_certifies_itself(back):
 
 def refeed(scheme):
     y, v = curve("linear_y"), curve("linear_u")
-    return Trace(scheme, tuple(replay(scheme, y[:, None], v[:, None])))
+    return Trace.of_steps(scheme, replay(scheme, y[:, None], v[:, None]))
 
 
 def control(**changes):
@@ -208,7 +209,7 @@ OTHER_SETTINGS = {
 
 @pytest.mark.parametrize("name", OTHER_SETTINGS)
 def test_other_settings_miss_the_published_inputs(name):
-    difference = gap(refeed(OTHER_SETTINGS[name]()).v[:, 0], "linear_u")
+    difference = gap(refeed(OTHER_SETTINGS[name]()).v_computed[:, 0], "linear_u")
     assert np.max(np.delete(difference, UNEXPLAINED)) > MISSED
 
 
@@ -218,13 +219,13 @@ def test_other_estimators_miss_the_published_predictions(name):
 
 
 def test_without_the_lag_the_second_input_is_off_by_25():
-    assert gap(refeed(OTHER_SETTINGS["no lag"]()).v[:, 0], "linear_u")[1] == pytest.approx(25, abs=1)
+    assert gap(refeed(OTHER_SETTINGS["no lag"]()).v_computed[:, 0], "linear_u")[1] == pytest.approx(25, abs=1)
 
 
 def test_linear_as_printed():
     """With eps(k) = 1/(1+1000k) the inputs are off by half at k = 13, and figure 6 by a factor of ten."""
     back = replay_published(printed=True)
-    assert gap(back.v[:, 0], "linear_u")[13] == pytest.approx(0.5, abs=0.1)
+    assert gap(back.v_computed[:, 0], "linear_u")[13] == pytest.approx(0.5, abs=0.1)
     factor = gamma_over_eps(printed=True)[1:] / curve("linear_gamma_over_eps")[1:]
     assert np.all((factor > 9.9) & (factor < 10))
     # The estimator does not know eps.

@@ -13,7 +13,8 @@ from rhl._checks import Array
 from rhl.paper import published
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence
 from rhl.plants import Plant
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 
 _PAGE = "notebooks/03-text-against-data.ipynb"
 _TEST = "tests/paper/claims/test_simulations.py"

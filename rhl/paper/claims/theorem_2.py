@@ -22,7 +22,8 @@ from rhl.paper.claims.estimation import (
 from rhl.paper.claims.estimator_setup import CLAIMS as SETUP
 from rhl.paper.claims.estimator_setup import PAGE, ROUNDING, TEST, WHY, claim
 from rhl.paper.published import linear_example
-from rhl.simulation import Trace, simulate
+from rhl.simulation import simulate
+from rhl.trace import Trace
 
 # What has come to rest, or vanished, has come this close; what has not is a thousandth away at least.
 _SETTLED = 1e-6

@@ -1,0 +1,126 @@
+"""The compiled closed loop: a batch in blocks of lanes, whose working arrays the kernel changes in place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl._lanes import blocks, to_lanes
+from rhl.controllability import ConstantMixing
+from rhl.scheme import Scheme
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Some members of a batch, in lanes.
+
+    Attributes
+    ----------
+    members : slice
+        Which.
+    plant : tuple of arrays
+        [F G] and [H 0]; without rows where the plant is the caller's.
+    z : array, shape (n + q, lanes)
+        The linear plant's state, with the input below it.
+    state : tuple of arrays
+        x, u, v(k-1) and theta~(k-1), see ``rhl.kernels.loop``.
+    estimator, controller : tuple
+        What the kernel needs of the scheme.
+    diverged_at : array of int, shape (lanes,)
+        The step at which a lane left the range of float64, else -1.
+    """
+
+    members: slice
+    plant: tuple[Array, Array]
+    z: Array
+    state: tuple[Array, Array, Array, Array]
+    estimator: tuple[Any, ...]
+    controller: tuple[Any, ...]
+    diverged_at: np.ndarray
+
+
+def serves(scheme: Scheme) -> bool:
+    """Whether the compiled loop runs it: squares, no constraints, constant mixing, a weight that grows with k."""
+    return scheme.estimator.by_rows and isinstance(scheme.mixing, ConstantMixing) and not scheme.controller.adaptive
+
+
+def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Array] | None, z: Array) -> list[Block]:
+    """Return the blocks of a batch before k = 0.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        One that the compiled loop serves.
+    lead : tuple of int
+        The batch axes.
+    plant : tuple of arrays or None
+        F, G, H, with batch axes or without; None where the plant is the caller's.
+    z : array, shape (..., n)
+        z(0).
+    """
+    model, estimator, controller, q = scheme.initial_model, scheme.estimator, scheme.controller, scheme.q
+    theta = to_lanes(np.concatenate([model.A, model.B], axis=-1), lead, 2)
+    members = theta.shape[-1]
+    empty = np.empty((0, 0, members)), np.empty((scheme.p, 0, members))
+    FG, H0, state = *empty, np.empty((0, members))
+    if plant is not None:
+        F, G, H = (to_lanes(M, lead, 2) for M in plant)
+        FG, H0 = np.concatenate([F, G], axis=1), np.concatenate([H, np.zeros((len(H), q, members))], axis=1)
+        state = np.concatenate([to_lanes(z, lead, 1), np.zeros((q, members))])
+    factors = [to_lanes(M, lead, 2) for M in scheme.factors]
+    trust, hold = estimator.roots_of_weights(model.n, model.q)
+    mixing: Any = scheme.mixing
+    fixed = trust, hold, float(mixing.lam)
+    chosen = controller.horizon, float(controller.alpha), bool(controller.model_delay)
+    found = []
+    for part in blocks(members):
+        fg, h, z_part, theta_part, Q, R, QN = (
+            np.ascontiguousarray(M[..., part]) for M in (FG, H0, state, theta, *factors)
+        )
+        lanes = theta_part.shape[-1]
+        signals = (
+            np.zeros((estimator.window + 1, model.n, lanes)),
+            np.zeros((estimator.window, model.q, lanes)),
+            np.zeros((q, lanes)),
+            theta_part,
+        )
+        diverged = np.full(lanes, -1)
+        found.append(Block(part, (fg, h), z_part, signals, fixed, (Q, R, QN, *chosen), diverged))
+    return found
+
+
+def run(
+    block: Block, first: int, epsilon: Array, lifted: Array | None, keep: bool
+) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Run a block for as many steps as there are values of epsilon, from step ``first``.
+
+    Parameters
+    ----------
+    lifted : array, shape (steps, n, lanes), or None
+        x(k), where the plant is the caller's.
+    keep : bool
+        Whether to keep the models.
+
+    Returns
+    -------
+    (y, v, z) : arrays, shapes (steps, size, lanes)
+        Without entries in y and z where the plant is the caller's.
+    (estimate, model) : arrays, shapes (steps, n, n + q, lanes)
+        theta*(k) and theta~(k); without steps where they are not kept.
+    """
+    from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+
+    steps, lanes, plant, theta = len(epsilon), len(block.diverged_at), block.plant, block.state[3]
+    known = len(plant[0]) > 0
+    sizes = (len(plant[1]) if known else 0, len(block.state[2]), len(plant[0]))
+    y, v, z = (np.empty((steps, size, lanes)) for size in sizes)
+    kept = steps if keep else 0
+    models = np.empty((kept, *theta.shape)), np.empty((kept, *theta.shape))
+    given = np.empty((0, 0, lanes)) if lifted is None else lifted
+    signals = y, v, z
+    settings = block.estimator, block.controller
+    loops.run(first, plant, block.z, given, block.state, *settings, epsilon, block.diverged_at, signals, models)
+    return (y, v, z), models

@@ -1,0 +1,306 @@
+"""A run, recorded: the signals, and whatever follows from them, worked out when it is asked for."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array, describe, instance, integer
+from rhl._files import header, write_whole
+from rhl.closed_loop import ControllerState, Step, replay
+from rhl.controllability import controllability_margin
+from rhl.errors import InputError, NotFiniteError
+from rhl.horizon import Plan
+from rhl.model import SignalModel
+from rhl.scheme import Scheme
+
+
+@dataclass(frozen=True, eq=False)
+class Models:
+    """What was estimated along a run; theta = [A B] with n rows.
+
+    Attributes
+    ----------
+    estimate, model : array, shape (steps, ..., n, n + q)
+        theta*(k) before mixing, theta~(k) after it.
+    lam : array, shape (steps, ...)
+        lambda_k.
+    stage : array of int, shape (steps, ...), or None
+        The stages j(k) of an adaptive terminal weight.
+    """
+
+    estimate: Array
+    model: Array
+    lam: Array
+    stage: np.ndarray | None = None
+
+    @classmethod
+    def of_steps(cls, steps: Iterable[Step]) -> Models:
+        """Collect them from steps."""
+        steps = tuple(steps)
+        both = [[np.concatenate([of.A, of.B], axis=-1) for of in (done.estimate, done.model)] for done in steps]
+        stage = np.stack([done.stage for done in steps]) if steps[0].scheme.controller.adaptive else None
+        estimate, model = np.stack(both, axis=1)
+        return cls(estimate, model, np.stack([done.lam for done in steps]), stage)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A run as arrays whose first axis is k.
+
+    Attributes
+    ----------
+    scheme : Scheme
+        What ran.
+    y : array, shape (steps, ..., p)
+        Outputs y(k), as measured.
+    v : array, shape (steps, ..., q)
+        Inputs v(k), as applied.
+    plant_state : array, shape (steps, ..., n), or None
+        The plant's states z(k), where there was a plant.
+    computed : array, shape (steps, ..., q), or None
+        Inputs as the scheme computed them, where they are not those applied: ``v_computed``.
+    applied_known : bool
+        Whether the scheme remembered the inputs applied, or those computed.
+    models : Models or None
+        What was estimated, where it was recorded; elsewhere the scheme replays the signals when it is asked for.
+    diverged : array of int, shape (...), or None
+        ``diverged_at``, where it is not -1 throughout.
+
+    Examples
+    --------
+    >>> from rhl.paper.published import linear_example
+    >>> trace = linear_example().run()
+    >>> len(trace), trace.y.shape, trace.margin_augmented.shape
+    (42, (42, 1), (42,))
+    >>> bool(trace.plan(7).residual() < 1e-9)
+    True
+    >>> list(trace.columns())
+    ['k', 'y1', 'v1', 'yhat1', 'z1', 'z2', 'z3', 'weight', 'lambda']
+    """
+
+    scheme: Scheme
+    y: Array
+    v: Array
+    plant_state: Array | None = None
+    computed: Array | None = None
+    applied_known: bool = True
+    models: Models | None = None
+    diverged: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        instance("scheme", self.scheme, Scheme)
+        for name in ("y", "v"):
+            rows: object = getattr(self, name)
+            # Not copied, since a batch may fill the memory.
+            if type(rows) is not np.ndarray or rows.dtype != np.float64 or rows.ndim < 2:
+                raise InputError(
+                    f"{name} must be an array of float64 of shape (steps, ..., size), got {describe(rows)}"
+                )
+            if not np.all(np.isfinite(rows)):
+                raise NotFiniteError(f"{name} must be finite, got {rows[~np.isfinite(rows)][0]} among its entries")
+        if len(self.y) == 0:
+            raise InputError("a trace must have at least one step, got none")
+        for name in ("y", "v", "plant_state", "computed", "diverged"):
+            if getattr(self, name) is not None:
+                view = getattr(self, name).view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
+
+    @classmethod
+    def of_steps(cls, scheme: Scheme, steps: Iterable[Step], applied_known: bool = True) -> Trace:
+        """Collect the steps of ``closed_loop`` or ``replay``, from k = 0 on.
+
+        Raises
+        ------
+        InputError
+            If there is none, or something else than steps.
+        """
+        given: tuple[Any, ...] = tuple(steps)
+        if not all(isinstance(done, Step) for done in given):
+            raise InputError(f"steps must be a tuple of Step, got {describe(given)}")
+        if not given:
+            raise InputError("a trace must have at least one step, got none")
+        y, v, computed = (
+            np.stack([getattr(done, name) for done in given]) for name in ("y", "v_applied", "v_computed")
+        )
+        z = None if given[0].z is None else np.stack([done.z for done in given])
+        return cls(scheme, y, v, z, computed, applied_known, Models.of_steps(given))
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def k(self) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+        """Step numbers, shape (steps,)."""
+        return np.arange(len(self))
+
+    @property
+    def v_computed(self) -> Array:
+        """Inputs as the scheme computed them, shape (steps, ..., q)."""
+        return self.v if self.computed is None else self.computed
+
+    @property
+    def diverged_at(self) -> np.ndarray:
+        """The k at which a member of a batch left the range of float64, -1 where it did not, shape (...).
+
+        From there on its rows stay as they were at k - 1.
+        """
+        return np.full(self.y.shape[1:-1], -1) if self.diverged is None else self.diverged
+
+    @property
+    def z(self) -> Array:
+        """The plant's states z(k), shape (steps, ..., n)."""
+        if self.plant_state is None:
+            raise InputError("a trace of recorded data has no plant state; run the scheme on a plant to have one")
+        return self.plant_state
+
+    @cached_property
+    def _models(self) -> Models:
+        if self.models is not None:
+            return self.models
+        return Models.of_steps(replay(self.scheme, self.y, self._known))
+
+    @property
+    def _known(self) -> Array:
+        return self.v if self.applied_known else self.v_computed
+
+    def _history(self, signal: Array, depth: int, k: int) -> Array:
+        """Return the signal at k-1, k-2, ..., k-depth, zero before k = 0, shape (..., depth, size)."""
+        rows = np.zeros((depth, *signal.shape[1:]))
+        found = signal[max(k - depth, 0) : k][::-1]
+        rows[: len(found)] = found
+        return np.moveaxis(rows, 0, -2)
+
+    @cached_property
+    def _lifted(self) -> tuple[Array, Array]:
+        """Return x(k) and u(k-1) for every k, shapes (steps, ..., n) and (steps, ..., N_v q)."""
+        lifting, steps = self.scheme.lifting, len(self)
+        x = lifting.lift(self._history(self.y, steps + lifting.outputs, steps), steps)
+        u = lifting.window(self._history(self._known, steps + lifting.inputs, steps), lifting.inputs, steps + 1)
+        return np.moveaxis(x, -2, 0)[::-1], np.moveaxis(u, -2, 0)[::-1][:-1]
+
+    @cached_property
+    def y_hat(self) -> Array:
+        """Predictions of y(k) made at k-1 (y(0) at k = 0), shape (steps, ..., p)."""
+        x, u = self._lifted
+        models = self._pair(self._models.model[:-1])
+        with np.errstate(over="ignore", invalid="ignore"):
+            predicted = models.step(x[:-1], u[1:])[..., : self.scheme.p] if len(self) > 1 else self.y[1:]
+        return np.concatenate([self.y[:1], predicted])
+
+    @property
+    def theta(self) -> Array:
+        """Estimates theta~(k) = [vec(A); vec(B)], shape (steps, ..., n(n+q))."""
+        model = self._models.model
+        return model.swapaxes(-1, -2).reshape(*model.shape[:-2], -1)
+
+    @property
+    def lam(self) -> Array:
+        """Mixing weights lambda_k, shape (steps, ...)."""
+        return self._models.lam
+
+    @cached_property
+    def weight(self) -> Array:
+        """The controller's Gamma(x)/eps(k), shape (steps, ...)."""
+        x, u = self._lifted
+        past = (self.scheme.lifting.inputs - 1) * self.scheme.q
+        state = np.concatenate([x, u[..., :past]], axis=-1)
+        if self.scheme.controller.adaptive:
+            stages = self._models.stage
+        else:
+            stages = np.broadcast_to(self.k.reshape(-1, *[1] * (self.y.ndim - 2)), self.y.shape[:-1])
+        assert stages is not None
+        return self.scheme.controller.weight(state, stages)
+
+    @cached_property
+    def newton_decrement(self) -> Array:
+        """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
+        estimator, lifting = self.scheme.estimator, self.scheme.lifting
+        rows = []
+        for k in range(len(self)):
+            x = lifting.lift(self._history(self.y, estimator.window + 1 + lifting.outputs, k + 1), estimator.window + 1)
+            v = self._history(self._known, estimator.window + lifting.inputs, k)
+            u = lifting.window(v, lifting.inputs, estimator.window)
+            rows.append(estimator.newton_decrement(self._estimate(k), self.model(k - 1), x, u, k))
+        return np.stack(rows)
+
+    @cached_property
+    def margin_lifted(self) -> Array:
+        """Smallest singular value of the lifted pair's controllability matrix, shape (steps, ...)."""
+        return np.stack([controllability_margin(self.model(k)) for k in range(len(self))])
+
+    @cached_property
+    def margin_augmented(self) -> Array:
+        """The same for Remark 4's augmented pair, which is the one the controller uses, shape (steps, ...)."""
+        augment = self.scheme.lifting.augment
+        return np.stack([controllability_margin(augment(self.model(k))) for k in range(len(self))])
+
+    def model(self, k: int) -> SignalModel:
+        """Return theta~(k); the initial model for k = -1."""
+        return self.scheme.initial_model if k < 0 else self._pair(self._models.model[k])
+
+    def _estimate(self, k: int) -> SignalModel:
+        return self._pair(self._models.estimate[k])
+
+    def _pair(self, theta: Array) -> SignalModel:
+        n = theta.shape[-2]
+        return SignalModel(theta[..., :n], theta[..., n:])
+
+    @cached_property
+    def steps(self) -> tuple[Step, ...]:
+        """Every step, in order; their plans are worked out when asked for."""
+        return tuple(self._step(k) for k in range(len(self)))
+
+    def _step(self, k: int) -> Step:
+        scheme, models, lead = self.scheme, self._models, self.y.shape[1:-1]
+        y, v = self._history(self.y, scheme.depth, k), self._history(self._known, scheme.depth, k)
+        stage, value, before = np.full(lead, k), None, None
+        if models.stage is not None:
+            stage = models.stage[k]
+            if k > 0:
+                before, value = models.stage[k - 1], self._step(k - 1).plan.value
+        state = ControllerState(k, y, v, self.model(k - 1), before, value)
+        return Step(
+            scheme,
+            state,
+            self.y[k],
+            self.v_computed[k],
+            self.v[k],
+            self._estimate(k),
+            self.model(k),
+            models.lam[k],
+            stage,
+            None if self.plant_state is None else self.plant_state[k],
+        )
+
+    def plan(self, k: int) -> Plan:
+        """Return what was planned at step k: inputs, predicted signals, certificate."""
+        if integer("k", k, 0) >= len(self):
+            raise InputError(f"k must be below the number of steps, {len(self)}, got {k}")
+        return self.steps[k].plan if "steps" in self.__dict__ else self._step(k).plan
+
+    def columns(self) -> dict[str, Array]:
+        """Return the columns k, y1.., v1.., yhat1.., z1.., weight, lambda of one run, each of shape (steps,)."""
+        if self.y.ndim != 2:
+            raise InputError(f"a table holds one run, got a batch of shape {self.y.shape[1:-1]}; take one member")
+        z = np.empty((len(self), 0)) if self.plant_state is None else self.plant_state
+        names = header(self.y.shape[1], self.v.shape[1], z.shape[1])
+        values = (self.k, *self.y.T, *self.v.T, *self.y_hat.T, *z.T, self.weight, self.lam)
+        return dict(zip(names, values, strict=True))
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
+        columns = self.columns()
+        rows = (
+            ",".join(
+                str(entry) if name == "k" else format(entry, ".17g") for name, entry in zip(columns, row, strict=True)
+            )
+            for row in zip(*columns.values(), strict=True)
+        )
+        write_whole(path, "\n".join([",".join(columns), *rows]) + "\n")
