@@ -14,7 +14,7 @@ from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, write_whole
 from rhl.closed_loop import ControllerState, Step, replay
 from rhl.controllability import controllability_margin
-from rhl.errors import InputError, NotFiniteError
+from rhl.errors import InputError
 from rhl.horizon import Plan
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
@@ -103,7 +103,7 @@ class Trace:
                     f"{name} must be an array of float64 of shape (steps, ..., size), got {describe(rows)}"
                 )
             if not np.all(np.isfinite(rows)):
-                raise NotFiniteError(f"{name} must be finite, got {rows[~np.isfinite(rows)][0]} among its entries")
+                raise InputError(f"{name} must be finite, got {rows[~np.isfinite(rows)][0]} among its entries")
         if len(self.y) == 0:
             raise InputError("a trace must have at least one step, got none")
         for name in ("y", "v", "plant_state", "computed", "diverged"):
