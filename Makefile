@@ -16,7 +16,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 help: ## list these commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
 
-env: .venv/installed ## make .venv with everything in environment.lock, and rhl on its path
+env: .venv/compiled ## make .venv with everything in environment.lock, and rhl on its path, its loops compiled
 
 book: env ## execute and build the book into build/_build/html
 	RHL_BOOK=1 python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
@@ -62,4 +62,8 @@ $(BIN)/uv:
 .venv/installed: environment.lock pyproject.toml | $(BIN)/uv
 	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes --no-build environment.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
+	touch $@
+
+.venv/compiled: .venv/installed $(wildcard rhl/kernels/*.py)
+	$(BIN)/python -m rhl.kernels
 	touch $@

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, common_batch, instance, integer, read_only, real_array, weight_matrix
+from rhl._checks import Array, common_batch, instance, integer, positive, read_only, real_array, weight_matrix
 from rhl._riccati import gains, rollout, truncated_min_norm
 from rhl.errors import InfeasibleError, InputError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
@@ -188,6 +188,10 @@ class Plan:
         total = np.sum(stages, axis=-1)
         return total + problem.weight * _quadratic(end, problem.QN) if isinstance(problem, V1) else total
 
+    def is_optimal(self, tol: float = 1e-9) -> bool:
+        """Whether :meth:`residual` is at most ``tol``, in every member of a batch."""
+        return bool(np.all(self.residual() <= positive("tol", tol)))
+
     def residual(self) -> Array:
         """Recompute the optimality conditions from the problem and return their largest relative violation.
 
@@ -268,7 +272,7 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     Examples
     --------
     >>> plan = solve(V1(SignalModel([[1.2]], [[1.0]]), Q=1.0, R=1.0, QN=1.0, weight=10.0, horizon=5), [1.0])
-    >>> plan.u.shape, bool(plan.residual() < 1e-12)  # the plan certifies itself
+    >>> plan.u.shape, plan.is_optimal(1e-12)  # the plan certifies itself
     ((5, 1), True)
     """
     instance("problem", problem, V1, V2, V3)

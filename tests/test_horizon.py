@@ -233,6 +233,14 @@ def test_oracle_shows_a_wrong_input():
     assert oracle.movement(lambda **data: oracle.riccati(horizon=N, **data), data, rng, draws=1) > 0
 
 
+def test_a_plan_says_whether_it_is_optimal():
+    plan = solve(V1(SignalModel([[2.0]], [[1.0]]), 1.0, 1.0, 1.0, 3.0, 4), [[1.0], [2.0]])
+    assert plan.is_optimal()
+    assert not replace(plan, u=plan.u + [[[0.0]], [[SHIFT]]]).is_optimal()
+    with pytest.raises(InputError, match="tol must be a positive finite number, got 0"):
+        plan.is_optimal(0)
+
+
 def test_one_state_one_step_by_hand():
     # min x^2 + u^2 + 3 (2x + u)^2 at x = 1: u + 3 (2 + u) = 0.
     plan = solve(V1(SignalModel([[2.0]], [[1.0]]), 1.0, 1.0, 1.0, 3.0, 1), [1.0])
