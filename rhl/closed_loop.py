@@ -150,16 +150,10 @@ def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     Parameters
     ----------
     scheme : Scheme
-        What was chosen beforehand.
     state : ControllerState
-        What the step before left, from ``start`` or ``advance``.
+        From ``start`` or ``advance``.
     y : array_like, shape (..., p)
         The output measured at k.
-
-    Returns
-    -------
-    Step
-        Its input counts as applied until ``advance`` is told otherwise.
 
     Raises
     ------
@@ -208,21 +202,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
 
 
 def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> ControllerState:
-    """Return the state for k+1, given the input that was really applied at k.
-
-    Parameters
-    ----------
-    scheme : Scheme
-        What was chosen beforehand.
-    done : Step
-        The step at k.
-    v : array_like, shape (..., q), optional
-        The input that the scheme takes for the applied one; ``done.v_applied`` where omitted.
-
-    Returns
-    -------
-    ControllerState
-    """
+    """Return the state for k+1, given the step at k and the input that counts as applied, ``done.v_applied`` or v."""
     instance("scheme", scheme, Scheme)
     instance("done", done, Step)
     applied = done.v_applied if v is None else real_array("v", v, (scheme.q,))
@@ -249,7 +229,6 @@ def closed_loop(
     Parameters
     ----------
     scheme : Scheme
-        What was chosen beforehand.
     plant : Plant
         Unknown to the scheme but for the sizes of y and v.
     z0 : array_like, shape (..., n)
@@ -279,13 +258,7 @@ def closed_loop(
 
 
 def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
-    """Check what a loop is made of; return z(0) with the batch axes that a linear plant brings.
-
-    Raises
-    ------
-    InputError
-        If z0 does not fit the plant, or the plant's sizes do not fit the scheme.
-    """
+    """Check what a loop is made of; return z(0) with the batch axes that a linear plant brings."""
     instance("scheme", scheme, Scheme)
     check_plant(plant)
     if not isinstance(applied_known, bool):
@@ -339,7 +312,6 @@ def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
     Parameters
     ----------
     scheme : Scheme
-        What was chosen beforehand.
     y : array_like, shape (steps, ..., p)
         Recorded outputs y(0), y(1), ...
     v : array_like, shape (steps, ..., q)

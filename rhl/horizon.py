@@ -41,11 +41,6 @@ class V1:
     horizon : int
         N, at least 1.
 
-    Raises
-    ------
-    InputError
-        If sizes do not fit or a weight is not definite.
-
     Examples
     --------
     >>> plan = solve(V1(SignalModel([[1.0]], [[1.0]]), Q=1.0, R=1.0, QN=1.0, weight=1e9, horizon=2), [1.0])
@@ -88,11 +83,6 @@ class V2:
     horizon : int
         N, at least 1.
 
-    Raises
-    ------
-    InputError
-        If sizes do not fit or the weight is not definite.
-
     Examples
     --------
     >>> half_reached = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[1.0], [0.0]])
@@ -127,11 +117,6 @@ class V3:
         Terminal state asked for.
     horizon : int
         N, at least 1.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit or a weight is not definite.
 
     Examples
     --------
@@ -193,15 +178,11 @@ class Plan:
         return bool(np.all(self.residual() <= positive("tol", tol)))
 
     def residual(self) -> Array:
-        """Recompute the optimality conditions from the problem and return their largest relative violation.
+        """Recompute the optimality conditions from the problem; return their largest relative violation, shape (...).
 
-        Returns
-        -------
-        array, shape (...)
-            The largest of: how far x is from the prediction (5) under u; how far the gradient of the objective along
-            feasible directions is from zero; in V3, how far x_N is from r. Each is relative to the sum of the
-            absolute values of the terms that cancel in it, so about 1e-15 is the best there is, and a small value
-            certifies the plan.
+        The largest of: how far x is from the prediction (5) under u; how far the gradient of the objective along
+        feasible directions is from zero; in V3, how far x_N is from r. Each is relative to the sum of the absolute
+        values of the terms that cancel in it, so that about 1e-15 is the best there is.
         """
         problem = self.problem
         maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
@@ -291,26 +272,7 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
 def first_input(
     model: SignalModel, factors: tuple[Array, Array, Array], horizon: int, weight: Array, x: Array
 ) -> Array:
-    """Return the first input of V1's solution, and nothing else of the plan, shape (..., q).
-
-    Parameters
-    ----------
-    model : SignalModel
-        Predictor.
-    factors : tuple of arrays
-        Upper factors of Q, R and QN.
-    horizon : int
-        N.
-    weight : array, shape (...)
-        Gamma(x)/eps(k).
-    x : array, shape (..., n)
-        Present signal.
-
-    Raises
-    ------
-    NotFiniteError
-        If it leaves the range of float64.
-    """
+    """Return the first input of V1's solution, shape (..., q), given upper factors of Q, R and QN."""
     Q, R, QN = factors
     K, _, _ = gains(*_scaled(weight, QN, model.A, model.B, Q, R), horizon)
     u, _ = rollout(model.A, model.B, K[..., :1, :, :], np.zeros((1, model.q)), x)
@@ -350,17 +312,8 @@ def condensed_hessian(problem: V1) -> Array:
 
     .. math:: H = \bar R + \Psi^\top \bar Q \Psi, \qquad (x_1, \dots, x_N) = \Phi x_0 + \Psi (u_0, \dots, u_{N-1})
 
-    Not used by ``solve``; it is here to be looked at. Its condition number tells what the widespread way of solving
-    V1, a Cholesky factorisation of H, would lose.
-
-    Parameters
-    ----------
-    problem : V1
-        The problem.
-
-    Returns
-    -------
-    array, shape (..., N q, N q)
+    ``solve`` does not use it; its condition number tells what the widespread way of solving V1, a Cholesky
+    factorisation of H, would lose.
 
     Examples
     --------

@@ -20,21 +20,14 @@ class PredictorMaps:
 
     .. math:: P_i(x_0, u_0, \dots, u_{i-1}) = A_i x_0 + \sum_{l=0}^{i-1} B_{i-1-l} u_l
 
+    They need not be powers of one matrix (Assumption 4(a)). InputError if shapes do not fit or :math:`A_0` is not I.
+
     Parameters
     ----------
     A : array_like, shape (..., N+1, n, n)
         The maps :math:`A_0 = I, A_1, \dots, A_N`.
     B : array_like, shape (..., N, n, q)
         The maps :math:`B_0, \dots, B_{N-1}`.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit together or :math:`A_0` is not the identity.
-
-    Notes
-    -----
-    Source: equation (5), Assumption 4(a). They need not be powers of one matrix.
 
     Examples
     --------
@@ -76,19 +69,7 @@ class PredictorMaps:
         return int(self.B.shape[-3])
 
     def predict(self, x0: ArrayLike, u: ArrayLike) -> Array:
-        r"""Predict :math:`x_0, x_1, \dots, x_N` by equation (5).
-
-        Parameters
-        ----------
-        x0 : array_like, shape (..., n)
-            Present signal.
-        u : array_like, shape (..., N, q)
-            Inputs to come.
-
-        Returns
-        -------
-        array, shape (..., N+1, n)
-        """
+        """Predict x_0 ... x_N, shape (..., N+1, n), from x_0 and u, shape (..., N, q), by equation (5)."""
         x0 = real_array("x0", x0, (self.n,))
         u = real_array("u", u, (self.horizon, self.q))
         common_batch(A=(self.A, 3), B=(self.B, 3), x0=(x0, 1), u=(u, 2))
@@ -103,21 +84,14 @@ class PredictorMaps:
 class SignalModel:
     r"""The signal model :math:`x(k+1) = A x(k) + B u(k)`, equation (18).
 
+    It reproduces one trajectory (Assumption 7) and need not be a model of the plant (Remark 3).
+
     Parameters
     ----------
     A : array_like, shape (..., n, n)
-        Signal matrix.
+        Signal matrix; InputError if it is not square or not finite.
     B : array_like, shape (..., n, q)
         Input matrix.
-
-    Raises
-    ------
-    InputError
-        If A is not square, B does not fit, or an entry is not finite.
-
-    Notes
-    -----
-    Source: Assumption 7, equation (18). It reproduces one trajectory and need not be a model of the plant (Remark 3).
 
     Examples
     --------
@@ -153,23 +127,7 @@ class SignalModel:
 
     @classmethod
     def from_theta(cls, theta: ArrayLike, n: int, q: int) -> SignalModel:
-        """Unpack theta = [vec(A); vec(B)] (Theorem 2(ii)).
-
-        Parameters
-        ----------
-        theta : array_like, shape (..., n(n+q))
-            Parameter vector.
-        n, q : int
-            Sizes of signal and input.
-
-        Returns
-        -------
-        SignalModel
-
-        Raises
-        ------
-        InputError
-            If theta does not have n(n+q) entries.
+        """Unpack theta = [vec(A); vec(B)], shape (..., n(n+q)), column by column (Theorem 2(ii)).
 
         Examples
         --------
@@ -186,9 +144,9 @@ class SignalModel:
 
     @classmethod
     def companion_of_ones(cls, n: int, q: int, inputs: InputMatrix = "last-row-of-ones") -> SignalModel:
-        """Build the controllable initial model behind the paper's data.
+        """Build the controllable initial model behind the paper's data: A(0) has ones above the diagonal and last.
 
-        A(0) has ones on the first superdiagonal and a last row of ones.
+        The paper only says "a controllable signal model" (Section VI); this one is observed from the published curves.
 
         Parameters
         ----------
@@ -197,15 +155,6 @@ class SignalModel:
         inputs : {"last-row-of-ones", "eye-last-row-of-ones"}
             B(0): zero but for a last row of ones (linear example), or the first q columns of the
             identity with their last row set to ones (robot arm).
-
-        Returns
-        -------
-        SignalModel
-
-        Notes
-        -----
-        The paper only says "a controllable signal model" (Section VI); these are this project's observation,
-        checked by reproducing the published curves.
 
         Examples
         --------
@@ -225,20 +174,8 @@ class SignalModel:
     def shift_of_ones(cls, p: int, outputs: int, q: int, inputs: int) -> SignalModel:
         """Build an initial model that moves stacked outputs along, and knows nothing else.
 
-        The first p rows of A and B, which predict y(k+1), are ones; the others are those of a delay lifting, which
-        ``LinearConstraints.shift`` holds fixed.
-
-        Parameters
-        ----------
-        p, q : int
-            Sizes of y and v.
-        outputs, inputs : int
-            How many of each are stacked.
-
-        Returns
-        -------
-        SignalModel
-            Of sizes p outputs and q inputs.
+        The first p rows of A and B, which predict y(k+1), are ones; the others are those of a delay lifting of that
+        many outputs and inputs, which ``LinearConstraints.shift`` holds fixed.
 
         Examples
         --------
@@ -267,21 +204,7 @@ class SignalModel:
         return np.einsum("...ab,...b->...a", self.A, x) + np.einsum("...ab,...b->...a", self.B, u)
 
     def predictor(self, horizon: int) -> PredictorMaps:
-        r"""Return the predictor maps :math:`A_i = A^i`, :math:`B_i = A^i B`, equation (21).
-
-        Parameters
-        ----------
-        horizon : int
-            N, at least 1.
-
-        Returns
-        -------
-        PredictorMaps
-
-        Raises
-        ------
-        InputError
-            If the horizon is below 1, or a power of A leaves the range of float64.
+        r"""Return the predictor maps :math:`A_i = A^i`, :math:`B_i = A^i B` up to the horizon, equation (21).
 
         Examples
         --------
@@ -297,23 +220,7 @@ class SignalModel:
             return PredictorMaps(A, A[..., :-1, :, :] @ self.B[..., None, :, :])
 
     def mix(self, other: SignalModel, lam: ArrayLike) -> SignalModel:
-        """Return (1 - lam) * self + lam * other, the convex combination of equation (15) and Lemma 5.
-
-        Parameters
-        ----------
-        other : SignalModel
-            The model mixed in, of the same sizes.
-        lam : array_like, shape (...)
-            The share of ``other``, in [0, 1].
-
-        Returns
-        -------
-        SignalModel
-
-        Raises
-        ------
-        InputError
-            If the sizes differ or lam is outside [0, 1].
+        """Return (1 - lam) * self + lam * other with lam in [0, 1], shape (...), as in equation (15) and Lemma 5.
 
         Examples
         --------

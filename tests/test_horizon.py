@@ -236,7 +236,7 @@ def test_oracle_shows_a_wrong_input():
 def test_a_plan_says_whether_it_is_optimal():
     plan = solve(V1(SignalModel([[2.0]], [[1.0]]), 1.0, 1.0, 1.0, 3.0, 4), [[1.0], [2.0]])
     assert plan.is_optimal()
-    assert not replace(plan, u=plan.u + [[[0.0]], [[SHIFT]]]).is_optimal()
+    assert not replace(plan, u=np.add(plan.u, [[[0.0]], [[SHIFT]]])).is_optimal()
     with pytest.raises(InputError, match="tol must be a positive finite number, got 0"):
         plan.is_optimal(0)
 
