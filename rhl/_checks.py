@@ -22,25 +22,10 @@ _SYMMETRY_RTOL = 1e-12
 
 
 def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None = None) -> Array:
-    """Copy to a read-only float64 array and check finiteness and trailing shape.
+    """Copy to a read-only float64 array; refuse what is ragged, not real, not finite, or of another trailing shape.
 
-    Parameters
-    ----------
-    name : str
-        What the caller calls the value; used in messages.
-    value : array_like
-        Real numbers, rectangular.
-    shape : tuple of int or None, optional
-        Trailing axes; None stands for any length of at least one. Further axes may lead.
-
-    Returns
-    -------
-    array of float64, read-only
-
-    Raises
-    ------
-    InputError
-        If the value is ragged, not real, not finite (NotFiniteError), or of another shape.
+    In the shape None stands for any length of at least one; further axes may lead. What is not finite raises
+    NotFiniteError, all else InputError.
     """
     try:
         raw = np.asarray(value)
@@ -97,26 +82,9 @@ def square(name: str, value: ArrayLike) -> Array:
 
 
 def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
-    """Check a symmetric positive definite weight; a number means that number times the identity.
+    """Check a symmetric positive definite weight, shape (..., n, n); a number is that times the identity.
 
-    Parameters
-    ----------
-    name : str
-        What the caller calls the weight.
-    value : float or array_like, shape (..., n, n)
-        The weight.
-    n : int
-        Its order.
-
-    Returns
-    -------
-    array, shape (..., n, n)
-        Symmetrised exactly.
-
-    Raises
-    ------
-    InputError
-        If the shape is another, or the matrix is not symmetric, or not positive definite.
+    What is returned is symmetric to the last bit.
     """
     array = real_array(name, value)
     if array.ndim == 0:
@@ -143,18 +111,7 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def common_batch(**arrays: tuple[Array, int]) -> tuple[int, ...]:
-    """Return the leading batch axes that arrays have in common.
-
-    Parameters
-    ----------
-    **arrays : (array, int)
-        Each with the number of its trailing axes that are not batch axes.
-
-    Raises
-    ------
-    InputError
-        If they do not broadcast together.
-    """
+    """Return the leading batch axes of arrays, each given with the number of its trailing axes that are none."""
     try:
         return np.broadcast_shapes(*(M.shape[: M.ndim - core] for M, core in arrays.values()))
     except ValueError:

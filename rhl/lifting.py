@@ -41,11 +41,6 @@ class DelayLifting:
     basis : Polynomials, Terms, Features or None
         :math:`\varphi`, functions of the stacked outputs that are zero at zero; None for none.
 
-    Raises
-    ------
-    InputError
-        If a length is not an integer of at least 1, or the basis is none.
-
     Notes
     -----
     Signals before k = 0 are zero, as in the paper (after equation (17)). Inputs are stacked and nothing else, so that
@@ -78,13 +73,7 @@ class DelayLifting:
         return self.outputs * p + (0 if self.basis is None else self.basis.count(p, self.outputs))
 
     def output_size(self, n: int) -> int:
-        """Return p, the size of the output, for which x(k) has n entries.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """Return p, the size of the output, for which x(k) has n entries; InputError if there is none."""
         integer("n", n, 1)
         if self.basis is None:
             p = max(n // self.outputs, 1)
@@ -106,15 +95,7 @@ class DelayLifting:
             return False
 
     def lift(self, y_history: Array, count: int) -> Array:
-        """Return x(k), x(k-1), ..., shape (..., count, n).
-
-        Parameters
-        ----------
-        y_history : array, shape (..., T, p)
-            y(k), y(k-1), ..., at least count + outputs - 1 of them.
-        count : int
-            How many.
-        """
+        """Return x(k), x(k-1), ..., shape (..., count, n), of y(k), y(k-1), ..., at least count + outputs - 1 of them."""
         y_history = real_array("y_history", y_history, (None, None))
         stack = self.window(y_history, self.outputs, count)
         if self.basis is None:
@@ -127,22 +108,15 @@ class DelayLifting:
         Parameters
         ----------
         history : array, shape (..., T, p)
-            Newest first.
+            Newest first; InputError if it has fewer rows than that takes.
         depth : int
             Rows in one stack (:math:`\bar N_y` or :math:`\bar N_v`).
-        count : int
-            Number of stacks.
-        start : int
-            Row of the newest entry of the first stack.
+        count, start : int
+            Number of stacks, and the row of the newest entry of the first.
 
         Returns
         -------
         array, shape (..., count, depth * p)
-
-        Raises
-        ------
-        InputError
-            If the history has fewer rows than that takes, or a number is not a whole one in range.
         """
         history = real_array("history", history, (None, None))
         needed = integer("start", start, 0) + integer("count", count, 1) + integer("depth", depth, 1) - 1
@@ -156,19 +130,7 @@ class DelayLifting:
         return stacked.reshape(*stacked.shape[:-2], -1)
 
     def augmented_state(self, y_history: Array, v_history: Array) -> Array:
-        """Return X(k) = [x(k); v(k-1);...;v(k-N_v+1)] of Remark 4.
-
-        Parameters
-        ----------
-        y_history : array, shape (..., T, p)
-            y(k), y(k-1), ...
-        v_history : array, shape (..., T, q)
-            v(k-1), v(k-2), ...
-
-        Returns
-        -------
-        array, shape (..., n + (N_v - 1) q)
-        """
+        """Return X(k) = [x(k); v(k-1);...;v(k-N_v+1)] of Remark 4, from y(k), y(k-1), ... and v(k-1), v(k-2), ..."""
         return self.with_past_inputs(self.lift(y_history, 1)[..., 0, :], v_history)
 
     def with_past_inputs(self, x: Array, v_history: Array) -> Array:
@@ -184,20 +146,8 @@ class DelayLifting:
         .. math::
             X(k) = [x(k); v(k-1); \dots; v(k-N_v+1)], \qquad X(k+1) = A_a X(k) + B_a v(k)
 
-        Parameters
-        ----------
-        model : SignalModel
-            Lifted model (A, B), B of shape (..., n, N_v q), newest input first.
-
-        Returns
-        -------
-        SignalModel
-            Of sizes n + (N_v - 1) q and q. The map is affine in (A, B), so mixing commutes with it.
-
-        Raises
-        ------
-        InputError
-            If the columns of B are not a multiple of N_v.
+        The map is affine in (A, B), so mixing commutes with it. B has shape (..., n, N_v q), newest input first;
+        InputError if its columns are not a multiple of N_v.
 
         Examples
         --------

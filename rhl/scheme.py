@@ -85,21 +85,7 @@ class Controller:
             )
 
     def problem(self, model: SignalModel, x: Array, k: int | np.ndarray) -> V1:
-        """Set up V1 for the augmented model and state with epsilon(k), equation (3).
-
-        Parameters
-        ----------
-        model : SignalModel
-            Augmented model.
-        x : array, shape (..., n)
-            Augmented state.
-        k : int, or array of int, shape (...)
-            The step; where the weight is adaptive, the stage.
-
-        Returns
-        -------
-        V1
-        """
+        """Set up V1 for the augmented model and state with epsilon(k), equation (3); see :meth:`weight`."""
         return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
