@@ -95,7 +95,7 @@ class DelayLifting:
             return False
 
     def lift(self, y_history: Array, count: int) -> Array:
-        """Return x(k), x(k-1), ..., shape (..., count, n), of y(k), y(k-1), ..., at least count + outputs - 1 of them."""
+        """Return x(k), x(k-1), ..., shape (..., count, n), of y(k), y(k-1), ...: count + outputs - 1 at least."""
         y_history = real_array("y_history", y_history, (None, None))
         stack = self.window(y_history, self.outputs, count)
         if self.basis is None:
