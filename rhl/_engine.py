@@ -10,6 +10,7 @@ import numpy as np
 from rhl._checks import Array
 from rhl._lanes import blocks, to_lanes
 from rhl.controllability import ConstantMixing
+from rhl.lifting import DelayLifting
 from rhl.scheme import Scheme
 
 
@@ -44,7 +45,9 @@ class Block:
 
 def serves(scheme: Scheme) -> bool:
     """Whether the compiled loop runs it: squares, no constraints, constant mixing, a weight that grows with k."""
-    return scheme.estimator.by_rows and isinstance(scheme.mixing, ConstantMixing) and not scheme.controller.adaptive
+    # Only these classes themselves: what is derived from them may do otherwise.
+    own = type(scheme.lifting) is DelayLifting and type(scheme.mixing) is ConstantMixing
+    return own and scheme.estimator.by_rows and not scheme.controller.adaptive
 
 
 def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Array] | None, z: Array) -> list[Block]:

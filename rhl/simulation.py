@@ -89,7 +89,7 @@ def simulate(
         raise InputError(f"progress must be a function of a trace, got {describe(progress)}")
     z = check_loop(scheme, plant, z0, applied_known)
     disturbed = sensor is not None or actuator is not None
-    if isinstance(plant, LinearPlant) and _engine.serves(scheme) and scheme.lifting.basis is None and not disturbed:
+    if type(plant) is LinearPlant and _engine.serves(scheme) and scheme.lifting.basis is None and not disturbed:
         rows = _Rows.empty(scheme, plant, z.shape[:-1], steps, record, disturbed, applied_known)
         parts = _compiled(scheme, plant, z, rows)
     else:

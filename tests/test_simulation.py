@@ -173,6 +173,27 @@ def test_a_plant_of_functions_runs_as_the_linear_one(name):
     assert np.array_equal(again.v, own.v[:, 1])
 
 
+def test_a_plant_derived_from_the_linear_one_keeps_its_own_step():
+    class Stuck(LinearPlant):
+        def step(self, z, v):
+            return super().step(z, np.clip(v, -0.1, 0.1))
+
+    stuck = simulate(COMPILED["plain"][0], Stuck(PLANT.F, PLANT.G, PLANT.H), Z0, 10)
+    by_hand = list(islice(closed_loop(COMPILED["plain"][0], Stuck(PLANT.F, PLANT.G, PLANT.H), Z0), 10))
+    assert np.array_equal(stuck.z, np.stack([done.z for done in by_hand]))
+    assert not np.array_equal(stuck.z, simulate(COMPILED["plain"][0], PLANT, Z0, 10).z)
+
+
+def test_a_mixing_derived_from_the_constant_one_keeps_its_own_choice():
+    class Late(ConstantMixing):
+        def choose(self, estimate, previous, augment):
+            return super().choose(estimate, previous, augment) / 2
+
+    late = simulate(scheme(mixing=Late(0.8)), PLANT, Z0, 10)
+    assert np.all(late.lam == 0.4)
+    assert np.allclose(late.v, simulate(scheme(mixing=ConstantMixing(0.4)), PLANT, Z0, 10).v, rtol=1e-12)
+
+
 class Counting:
     """A plant with a state of its own, such as a machine that moves when it is told to."""
 
