@@ -1,27 +1,33 @@
 """Receding horizon learning: the executable companion of Ebenbauer, Pfitz and Yu, arXiv 2010.05891."""
 
-from rhl.closed_loop import ControllerState, Step, advance, closed_loop, replay, start, step
-from rhl.constraints import LinearConstraints
-from rhl.controllability import ConstantMixing, LambdaSearch
-from rhl.disturbances import GaussianNoise, Saturation
-from rhl.errors import (
-    AssumptionWarning,
-    DivergedError,
-    InfeasibleError,
-    InputError,
-    LostControllabilityError,
-    NotSolvedError,
-    RHLError,
-)
-from rhl.estimator import ProximalEstimator
-from rhl.horizon import V1, V2, V3, Plan, solve
-from rhl.lifting import DelayLifting
-from rhl.model import PredictorMaps, SignalModel
-from rhl.plants import FunctionPlant, LinearPlant
-from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, default_scheme
-from rhl.simulation import simulate
-from rhl.trace import Trace
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rhl.closed_loop import ControllerState, Step, advance, closed_loop, replay, start, step
+    from rhl.constraints import LinearConstraints
+    from rhl.controllability import ConstantMixing, LambdaSearch
+    from rhl.disturbances import GaussianNoise, Saturation
+    from rhl.errors import (
+        AssumptionWarning,
+        DivergedError,
+        InfeasibleError,
+        InputError,
+        LostControllabilityError,
+        NotSolvedError,
+        RHLError,
+    )
+    from rhl.estimator import ProximalEstimator
+    from rhl.horizon import V1, V2, V3, Plan, solve
+    from rhl.lifting import DelayLifting
+    from rhl.model import PredictorMaps, SignalModel
+    from rhl.plants import FunctionPlant, LinearPlant
+    from rhl.schedules import PowerDecay
+    from rhl.scheme import Controller, Scheme, default_scheme
+    from rhl.simulation import simulate
+    from rhl.trace import Trace
 
 __all__ = [
     "V1",
@@ -62,3 +68,32 @@ __all__ = [
     "step",
 ]
 __version__ = "0.1.0"
+
+# Where these names live. They are loaded when the first is asked for, so that `rhl --help` need not wait for numpy.
+_HOMES = (
+    *("closed_loop", "constraints", "controllability", "disturbances", "errors", "estimator", "horizon", "lifting"),
+    *("model", "plants", "schedules", "scheme", "simulation", "trace"),
+)
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module 'rhl' has no attribute {name!r}")
+    for home in _HOMES:
+        found = vars(import_module(f"rhl.{home}"))
+        globals().update({offered: found[offered] for offered in __all__ if offered in found})
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+class _Package(ModuleType):
+    def __setattr__(self, name: str, value: object) -> None:
+        # The import of the module closed_loop binds it here, where the name is that of its function.
+        is_module = name == "closed_loop" and isinstance(value, ModuleType)
+        super().__setattr__(name, vars(value)[name] if is_module else value)
+
+
+sys.modules[__name__].__class__ = _Package

@@ -193,7 +193,8 @@ class Features:
     Raises
     ------
     InputError
-        If it is not a function of one argument; later, if it raises, returns another shape, or is not zero at zero.
+        If it is not a function of one argument; later, if it returns another shape, or is not zero at zero. What it
+        raises itself is let through, with a note where it was called.
     """
 
     function: Callable[[Array], ArrayLike]
@@ -232,8 +233,13 @@ class Features:
 
     def _row(self, w: Array) -> Array:
         try:
-            row = numbers(self.function(w))
-        except Exception as error:  # whatever a user's function raises
+            found = self.function(w)
+        except Exception as error:
+            error.add_note(f"rhl called the basis function with stacked outputs of shape {w.shape}")
+            raise
+        try:
+            row = numbers(found)
+        except Exception as error:  # whatever an object's own conversion raises
             raise InputError(
                 f"function must take stacked outputs of shape {w.shape} and return {self.size} real numbers, "
                 f"got {reason(error)}"

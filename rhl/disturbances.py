@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, fraction, integer, positive, real_array, reason
+from rhl._checks import Array, describe, fraction, integer, positive, real_array
 from rhl.errors import InputError
 
 # k and the signal, shape (..., size) -> the signal as it comes out, of the same shape.
@@ -60,7 +61,8 @@ class Saturation:
 
     def __call__(self, k: int, v: Array) -> Array:
         """Return the input within the bounds, shape (..., q)."""
-        return np.clip(v, self.low, self.high)
+        low, high = (_one_each(name, getattr(self, name), v, "input") for name in ("low", "high"))
+        return np.clip(v, low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,9 @@ class GaussianNoise:
 
     def __call__(self, k: int, y: Array) -> Array:
         """Return the output with its error, shape (..., p)."""
-        return y + self.std * np.random.default_rng([self.seed, k]).standard_normal(np.shape(y))
+        return y + _one_each("std", self.std, y, "output") * np.random.default_rng([self.seed, k]).standard_normal(
+            np.shape(y)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +134,13 @@ class Outliers:
         return y + np.where(hit, sign * self.size, 0.0)
 
 
+def _one_each(name: str, value: Array | float, signal: Array, of: str) -> Array:
+    found, size = np.asarray(value), np.shape(signal)[-1]
+    if found.ndim and len(found) != size:
+        raise InputError(f"{name} must be a number or have {size} entries, one for each {of}, got {len(found)}")
+    return found
+
+
 def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) -> Array:
     """Pass a signal through a disturbance, the user's own too, and check what comes out.
 
@@ -151,7 +162,8 @@ def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) 
     Raises
     ------
     InputError
-        If a disturbance raises, or returns another shape or numbers that are not finite.
+        If a disturbance returns another shape or numbers that are not finite. What one of the user's own raises is
+        let through, with a note where it was called.
     """
     if disturbance is None:
         return signal
@@ -159,12 +171,13 @@ def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) 
         for part in disturbance:
             signal = through(name, part, k, signal)
         return signal
+    if not callable(cast(object, disturbance)):
+        raise InputError(f"the {name} must be a function of (k, signal), got {describe(disturbance)}")
     try:
         found = disturbance(k, signal)
-    except Exception as error:  # whatever a user's function raises
-        raise InputError(
-            f"the {name} must take (k, signal) with a signal of shape {signal.shape}, got {reason(error)}"
-        ) from error
+    except Exception as error:
+        error.add_note(f"rhl called the {name} at k = {k} with a signal of shape {signal.shape}")
+        raise
     array = real_array(f"what the {name} returns at k = {k}", found)
     if array.shape != signal.shape:
         raise InputError(f"the {name} must return the shape that it is given, {signal.shape}, got {array.shape}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -139,7 +139,8 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
     Raises
     ------
     InputError
-        If the schedule raises, is not positive and finite at k, or is larger there than at k - 1.
+        If the schedule is not positive and finite at k, or is larger there than at k - 1. What a schedule of the
+        user's own raises is let through, with a note where it was called.
     """
     k = integer("k", k, 0)
     now = _value(schedule, k)
@@ -158,7 +159,7 @@ def epsilons(schedule: Schedule, first: int, stop: int) -> Array:
     Raises
     ------
     InputError
-        If the schedule raises, is not positive and finite, or rises.
+        If the schedule is not positive and finite, or rises.
     """
     start = max(first - 1, 0)
     found = np.array([_value(schedule, k) for k in range(start, stop)])
@@ -169,10 +170,16 @@ def epsilons(schedule: Schedule, first: int, stop: int) -> Array:
 
 
 def _value(schedule: Schedule, k: int) -> float:
+    if not callable(cast(object, schedule)):
+        raise InputError(f"epsilon must be a function of k, got {describe(schedule)}")
     try:
         found: Any = schedule(k)
+    except Exception as error:
+        error.add_note(f"rhl called epsilon at k = {k}")
+        raise
+    try:
         value = float(numbers(found))
-    except Exception as error:  # whatever a user's function raises
+    except Exception as error:  # whatever an object's own conversion raises
         raise InputError(f"epsilon must return a number at k = {k}, got {reason(error)}") from error
     if not 0 < value < np.inf:
         raise InputError(f"epsilon must be positive and finite at every k, got {describe(found)} at k = {k}")

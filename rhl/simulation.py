@@ -272,7 +272,8 @@ class _Compiled:
     def step(self, k: int, y: Array) -> Array:
         rows, lifting = self.rows, self.scheme.lifting
         self.history = remember(self.history, y)
-        x = lifting.lift(self.history, 1)[:, 0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            x = lifting.lift(self.history, 1)[:, 0]
         epsilon, v = epsilons(self.scheme.controller.epsilon, k, k + 1), np.empty((len(y), self.scheme.q))
         for block in self.blocks:
             at, lifted = block.members, np.ascontiguousarray(x[block.members].T)[None]

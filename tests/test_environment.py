@@ -30,7 +30,8 @@ def requirements(pyproject):
     parsed = tomllib.loads(pyproject)
     extras = parsed["project"]["optional-dependencies"].values()
     asked = [*parsed["project"]["dependencies"], *(need for extra in extras for need in extra)]
-    return [Requirement(need) for need in [*asked, *parsed["build-system"]["requires"]]]
+    needs = [Requirement(need) for need in [*asked, *parsed["build-system"]["requires"]]]
+    return [need for need in needs if need.name != parsed["project"]["name"]]  # an extra may take in another
 
 
 def faults(pyproject, lock):

@@ -82,7 +82,7 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-APP = ["app", "app.diagnosis", "app._sections", "app.config", "app.cli"]
+APP = ["app", "app.diagnosis", "app._keys", "app._sections", "app.config", "app.cli"]
 ORDER = [*CORE, *PAPER, *APP]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
@@ -95,7 +95,7 @@ FORBIDDEN = {
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
-HEAVY = ("numba", "scipy", "pydantic", "rich", "pandas", "sympy", "control", "matplotlib")
+HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib")
 
 
 def name_of(path):

@@ -1,5 +1,10 @@
 """What `from rhl import ...` offers is exactly this."""
 
+import subprocess
+import sys
+
+import pytest
+
 import rhl
 
 NAMES = [
@@ -52,6 +57,31 @@ def test_each_is_there():
 
 
 def test_errors_lie_below_one():
-    errors = [vars(rhl)[name] for name in NAMES if name.endswith("Error")]
+    errors = [getattr(rhl, name) for name in NAMES if name.endswith("Error")]
     assert len(errors) == 6
     assert all(issubclass(error, rhl.RHLError) for error in errors)
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        "",
+        "import rhl.closed_loop",
+        "import rhl.simulation",
+        "import rhl; rhl.Trace",
+        "from rhl import *",
+        "import rhl.app.cli",
+    ],
+)
+def test_a_function_is_not_hidden_by_its_module(before):
+    """Names are loaded when the first is asked for, in whatever order modules are."""
+    code = f"{before}\nfrom rhl import closed_loop\nimport rhl, sys\n" + (
+        "assert closed_loop is rhl.closed_loop is sys.modules['rhl.closed_loop'].closed_loop, closed_loop\n"
+        "assert set(rhl.__all__) <= set(dir(rhl))\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_other_names_are_refused():
+    with pytest.raises(AttributeError, match="module 'rhl' has no attribute 'simulat'"):
+        _ = rhl.simulat

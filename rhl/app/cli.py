@@ -15,32 +15,26 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress
-from rich.table import Table
-
+# The rest is imported by the commands that need it, so that help and refusals do not wait for numpy.
 from rhl import __version__
-from rhl._checks import reason, shown
-from rhl._files import header, write_whole
-from rhl.app.config import load, schema, template
-from rhl.closed_loop import Step
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
-from rhl.paper import published
-from rhl.trace import Trace
 
 if TYPE_CHECKING:
     from types import ModuleType
 
     from matplotlib.figure import Figure
+    from rich.table import Table
 
     from rhl.app.diagnosis import Diagnosis
     from rhl.paper.claims.claim import Judgement
+    from rhl.paper.published import Experiment
+    from rhl.trace import Trace
 
 OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 
 _TOO_LARGE = "the run must fit into memory"
+# Packages that some commands need, and the extra that brings them.
+_EXTRAS = {"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper"}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -71,7 +65,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"rhl: {error}", file=sys.stderr)
         return BAD_INPUT
+    except ImportError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        install = f"pip install 'rhl[{_EXTRAS[package]}]'"
+        print(f"rhl: this command needs the package {package}, got none installed; {install}", file=sys.stderr)
+        return BAD_INPUT
     except MemoryError as error:
+        from rhl._checks import reason
+
         print(f"rhl: {_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
@@ -168,6 +171,10 @@ def _path(text: str) -> Path:
 
 
 def _reproduce(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    from rhl.paper import published
+
     _check_targets(options)
     linear = options.experiment == "linear"
     experiment = (published.linear_example if linear else published.robot_arm)(printed=options.printed)
@@ -186,59 +193,65 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from rhl._files import header, write_whole
+    from rhl.app.config import load
+
     experiment = load(options.config).experiment()
     _check_targets(options)
-    done, status, why = _watched(experiment)
-    if done:
-        trace = Trace(experiment.scheme, done)
+    trace, status, why = _watched(experiment)
+    if trace:
         _write(options, trace, lambda: _figures().run(trace, experiment.name))
     else:
         plant = experiment.plant
         write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
+    rows = len(trace or ())
     if why:
-        print(f"rhl: {why}; the {len(done)} rows before it are in {options.output}", file=sys.stderr)
-    else:
-        end = f"largest |z| {np.max(np.abs(trace.z[-1])):.3g}, largest |v| {np.max(np.abs(trace.v[-1])):.3g}"
-        print(f"{len(done)} rows in {options.output}; at the end {end}")
+        print(f"rhl: {why}; the {rows} rows before it are in {options.output}", file=sys.stderr)
+    elif trace:
+        end = f"largest |z| {abs(trace.z[-1]).max():.3g}, largest |v| {abs(trace.v[-1]).max():.3g}"
+        print(f"{rows} rows in {options.output}; at the end {end}")
     return status
 
 
-def _watched(experiment: published.Experiment) -> tuple[tuple[Step, ...], int, str]:
-    """Run under a progress bar; return the steps taken, the exit status, and why it stopped early if it did."""
-    done: list[Step] = []
-    status, why = OK, ""
-    with _progress(experiment.name, experiment.steps) as advance:
+def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
+    """Run under a progress bar; return the rows so far, the exit status, and why it stopped early if it did."""
+    from rhl._checks import reason
 
-        def tick(step: Step) -> None:
-            done.append(step)
-            advance()
+    trace: Trace | None = None
+    with _progress(experiment.name, experiment.steps) as show:
+
+        def tick(so_far: Trace) -> None:
+            nonlocal trace
+            trace = so_far
+            show(len(so_far))
 
         try:
-            experiment.run(tick)
+            return experiment.run(tick), OK, ""
         except DivergedError as error:
-            status, why = STOPPED, str(error)
+            return error.trace, STOPPED, str(error)
         except (LostControllabilityError, NotSolvedError) as error:
-            status, why = STOPPED, f"the run stopped at k = {len(done)}: {error}"
+            why = str(error)
         except MemoryError as error:
-            status, why = STOPPED, f"the run stopped at k = {len(done)}: {_TOO_LARGE}, got {reason(error)}"
+            why = f"{_TOO_LARGE}, got {reason(error)}"
         except KeyboardInterrupt:
-            status, why = INTERRUPTED, f"the run was interrupted at k = {len(done)}"
-    return tuple(done), status, why
+            return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
+    return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
 
 
 def _check(options: argparse.Namespace) -> int:
-    from rhl.app.diagnosis import diagnose, diagnose_run  # here, because the other commands do without
+    from rhl.app.config import load
+    from rhl.app.diagnosis import diagnose, diagnose_run
 
     experiment = load(options.config).experiment()
     found = diagnose(experiment.plant, experiment.scheme, sensor=experiment.sensor, actuator=experiment.actuator)
     _tell(found, f"{experiment.name}: before a run")
     if not options.run:
         return OK if found.sound else MISSED
-    done, status, why = _watched(experiment)
+    trace, status, why = _watched(experiment)
     sound = found.sound
-    if done:
-        after = diagnose_run(Trace(experiment.scheme, done))
-        _tell(after, f"{experiment.name}: after {len(done)} steps")
+    if trace:
+        after = diagnose_run(trace)
+        _tell(after, f"{experiment.name}: after {len(trace)} steps")
         sound = sound and after.sound
     if why:
         print(f"rhl: {why}", file=sys.stderr)
@@ -247,6 +260,9 @@ def _check(options: argparse.Namespace) -> int:
 
 
 def _tell(diagnosis: Diagnosis, title: str) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=escape(title), title_justify="left", show_lines=False)
     table.add_column("verdict", no_wrap=True)
     table.add_column("what", max_width=44)
@@ -257,6 +273,10 @@ def _tell(diagnosis: Diagnosis, title: str) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
+    from rhl._checks import shown
+    from rhl._files import write_whole
+    from rhl.app.config import template
+
     name = options.name.removesuffix(".toml")
     stem = Path(name).name
     if not stem or not stem.isprintable():
@@ -269,6 +289,9 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _schema(options: argparse.Namespace) -> int:
+    from rhl._files import write_whole
+    from rhl.app.config import schema
+
     text = json.dumps(schema(), indent=1)
     if options.output is None:
         print(text)
@@ -279,7 +302,10 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from rhl.paper.claims import ledger  # here, because the other commands do without
+    from rich.table import Table
+
+    from rhl._files import write_whole
+    from rhl.paper.claims import ledger
     from rhl.paper.claims.claim import Effort
 
     effort, claims = Effort(options.seed, options.cases), ledger.select(options.ids)
@@ -289,11 +315,11 @@ def _verify(options: argparse.Namespace) -> int:
             print(f"{claim.id:28} {claim.statement}")
         return OK
     done: list[Judgement] = []
-    with _progress("checking", len(claims)) as advance:
+    with _progress("checking", len(claims)) as show:
 
         def tick(judgement: Judgement) -> None:
             done.append(judgement)
-            advance()
+            show(len(done))
 
         try:
             ledger.run(claims, effort, tick)
@@ -324,18 +350,22 @@ def _verify(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _progress(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a bar on a terminal's standard error, and nothing elsewhere."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda: None
+def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show on a terminal's standard error how much is done, and nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done: None
         return
-    with Progress(console=console, transient=True) as bar:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
+        yield lambda done: bar.update(task, completed=done)
 
 
 def _print(table: Table, least_width: int) -> None:
+    from rich.console import Console
+
     console = Console(highlight=False)
     # Off a terminal rich assumes 80 columns, which would fold the table.
     if not console.is_terminal:
@@ -346,19 +376,21 @@ def _print(table: Table, least_width: int) -> None:
 
 
 def _figures() -> ModuleType:
-    from rhl import plotting  # here, because loading matplotlib takes longer than the run
+    from rhl import plotting
 
     return plotting
 
 
 def _paper_figures() -> ModuleType:
-    from rhl.paper import figures  # here for the same reason
+    from rhl.paper import figures
 
     return figures
 
 
 def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
     """Write the rows and the figure; if the figure cannot be written, the rows do not stay behind either."""
+    from rhl._files import write_whole
+
     figure = _figures().render(draw, options.plot) if options.plot else b""
     fresh = options.output and not options.output.exists()
     if options.output:
@@ -374,6 +406,8 @@ def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]
 
 def _check_targets(options: argparse.Namespace) -> None:
     """Refuse files that cannot be written, or are named twice, before any work is done."""
+    from rhl._checks import shown
+
     taken = {}
     if getattr(options, "config", None):
         taken[options.config.resolve()] = "the configuration"
@@ -402,3 +436,5 @@ def _check_targets(options: argparse.Namespace) -> None:
             taken[resolved] = f"also that of {flag}"
     if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):
         raise InputError(f"--plot must end in .svg, .pdf or .png, got {shown(options.plot)}")
+    if options.plot:
+        _figures()  # where matplotlib is missing, that is said before the run

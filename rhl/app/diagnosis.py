@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from rhl._checks import Array, choice, instance, reason
-from rhl.closed_loop import start, step
+from rhl.closed_loop import Step, start, step
 from rhl.controllability import LambdaSearch, controllability_margin
 from rhl.disturbances import Disturbance, Disturbances
 from rhl.errors import InputError
@@ -128,7 +128,7 @@ def diagnose_run(trace: Trace) -> Diagnosis:
     Parameters
     ----------
     trace : Trace
-        One run, no batch; one that stopped early too, ``Trace(scheme, error.steps)``.
+        One run, no batch; one that stopped early too, its error's ``trace``.
 
     Returns
     -------
@@ -298,7 +298,7 @@ def _size(rows: Array) -> Array:
 
 
 def _of_signals(trace: Trace) -> Iterator[Finding]:
-    hidden = any(done.z is None for done in trace.steps)
+    hidden = trace.plant_state is None
     z, v = _size(trace.y if hidden else trace.z), _size(trace.v)
     name, end = "y" if hidden else "z", max(1, len(trace) // _END)
     first, last = float(np.max(z[:end])), float(np.max(z[-end:]))
@@ -336,9 +336,7 @@ def _of_models(trace: Trace) -> Iterator[Finding]:
             f"the best one leaves a share of {misfit:.2g} of them unexplained"
             + ("" if misfit <= _FITS else "; stack more, append basis functions, or look for noise"),
         )
-    sizes = np.array([np.max(np.abs(done.plan.x[0])) for done in trace.steps])
-    gains = np.array([max(np.max(np.abs(done.plan.u)), np.max(np.abs(done.plan.x))) for done in trace.steps])
-    gains = np.divide(gains, sizes, out=np.zeros_like(gains), where=sizes > 0)
+    gains = np.array([_gain(done) for done in trace.steps])
     at = int(np.argmax(gains))
     yield Finding(
         "Assumption 5(b), bounded gains of V1",
@@ -360,9 +358,19 @@ def _of_models(trace: Trace) -> Iterator[Finding]:
         yield Finding("Adaptive weight", "note", f"epsilon was let fall {int(trace.steps[-1].stage)} times")
 
 
+def _gain(done: Step) -> float:
+    """Return how many times the state the largest number planned is; infinite where the plan leaves float64."""
+    try:
+        plan = done.plan
+    except (InputError, ArithmeticError):
+        return np.inf
+    size = float(np.max(np.abs(plan.x[0])))
+    return max(float(np.max(np.abs(plan.u))), float(np.max(np.abs(plan.x)))) / size if size > 0 else 0.0
+
+
 def _misfit(trace: Trace) -> float | None:
     """Return the part of x(k+1) that no linear function of x(k), u(k) gives, relative; None where the run is short."""
-    lifting, last = trace.scheme.lifting, trace.steps[-1]
+    lifting = trace.scheme.lifting
     begin = max(lifting.outputs, lifting.inputs)
     y, v = trace.y[::-1], trace.v[::-1]
     count = len(y) - begin
@@ -370,7 +378,7 @@ def _misfit(trace: Trace) -> float | None:
         return None
     x, u = lifting.lift(y, count), lifting.window(v, lifting.inputs, count)
     known, next_ = np.concatenate([x[1:], u[1:]], axis=1), x[:-1]
-    if len(known) < 2 * known.shape[1] or not np.all(np.isfinite(last.y)):
+    if len(known) < 2 * known.shape[1] or not np.all(np.isfinite(trace.y[-1])):
         return None
     # Each transition by its own size, so that a run's beginning does not hide its end; but not what is nearly zero.
     size = np.max(np.abs(known), axis=1, keepdims=True)

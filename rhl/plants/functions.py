@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, common_batch, describe, integer, read_only, reason
+from rhl._checks import Array, common_batch, describe, integer, read_only
 from rhl.errors import InputError, PlantError
 from rhl.plants.base import check_lengths
 
@@ -38,8 +38,8 @@ class FunctionPlant:
     Raises
     ------
     PlantError
-        If a function raises, or does not return finite real numbers of the right shape, at z = 0, v = 0; see
-        :meth:`step` for later on.
+        If a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step` for
+        later on. What a function itself raises is let through, with a note where it was called.
     InputError
         If n or q is not an integer of at least 1, or a function cannot be called.
 
@@ -111,7 +111,7 @@ class FunctionPlant:
         InputError
             If z or v has another length, or their batch axes do not fit.
         PlantError
-            If the function raises, writes into its arguments, or returns something other than n real numbers.
+            If the function returns something other than n real numbers.
         """
         z, v = check_lengths(z=(z, self.n), v=(v, self.q))
         lead = common_batch(z=(z, 1), v=(v, 1))
@@ -133,20 +133,14 @@ class FunctionPlant:
 def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *arguments: Array) -> Array:
     """Call a caller's function and check what comes back: real numbers of shape (length,), finite or not."""
     wanted = f"an array of shape ({'p' if length is None else length},)"
-    where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
     try:
         returned = function(*arguments)
     except OverflowError:
         return np.full(1 if length is None else length, np.inf)
-    except KeyboardInterrupt:
+    except Exception as error:
+        where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
+        error.add_note(f"rhl called {name} at {where}, read-only arrays: begin with z = z.copy() to write into one")
         raise
-    except BaseException as error:  # whatever a user's function raises, sys.exit included
-        if isinstance(error, ValueError) and "read-only" in str(error):
-            raise PlantError(
-                f"{name} must return {wanted} and leave its arguments alone, got an attempt to write into them; "
-                "it must return a new array, so begin with z = z.copy()"
-            ) from error
-        raise PlantError(f"{name} must return {wanted}, got {reason(error)}; try it by hand at {where}") from error
     try:
         raw = np.asarray(returned)
     except Exception as error:  # ragged, or whatever an object's own conversion raises

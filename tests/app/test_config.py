@@ -6,6 +6,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from rhl.app._keys import FRACTION, WORDS, fitted, integer, key
 from rhl.app.config import Config, keys, load, parse, schema, template
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
@@ -256,7 +257,7 @@ def test_every_key_is_documented():
     assert all(documented.values())
     for text in (LINEAR, ARM):
         for section, entries in tomllib.loads(text).items():
-            named = {f"{section}.{key}" for key in entries} if isinstance(entries, dict) else {section}
+            named = {f"{section}.{name}" for name in entries} if isinstance(entries, dict) else {section}
             assert named <= documented.keys()
 
 
@@ -282,3 +283,81 @@ def test_the_schema_takes_what_the_parser_takes():
         assert list(validator.iter_errors(tomllib.loads(text))) == []
     assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("steps = 42", "steps = 0"))))
     assert list(validator.iter_errors(tomllib.loads(LINEAR.replace("horizon = 20", "horizont = 20"))))
+
+
+VALUES = [
+    *(True, 0, 1, -1, 2, 6, 7, 100, 101, 10_000, 10_001, 100_000, 100_001, 2**32 - 1, 2**32, 0.5, 1.5, -0.5, 5e-324),
+    *("", "?", "none", "search", "squares", "constant", "linear", "data", "lifted", "first", "sharp", "rough"),
+    *([], [[]], [1], [[1.0]], [["?"]], ["y1"], {}, {"a": 1}),
+]
+PLANTS = [
+    {"kind": "transfer-function", "num": [1], "den": [1, 2], "z0": [1]},
+    {"kind": "ready", "name": "slow-mode"},
+    {"kind": "robot-arm", "variant": "data", "z0": [1, 2, 3]},
+    {"kind": "python", "file": "p.py", "n": 1, "q": 1, "z0": [1]},
+]
+
+
+def verdicts(data):
+    """Whether the parser takes a file, and whether the schema does."""
+    try:
+        parse(data)
+    except InputError:
+        return False, VALIDATOR.is_valid(data)
+    return True, VALIDATOR.is_valid(data)
+
+
+VALIDATOR = jsonschema.Draft202012Validator(schema())
+
+
+@pytest.mark.parametrize("path", [path for path, _ in keys()])
+def test_the_schema_and_the_parser_agree_on_every_key(path):
+    *tables, name = path.split(".")
+    seen = set()
+    for plant in [tomllib.loads(LINEAR)["plant"], *(PLANTS if tables == ["plant"] else [])]:
+        for value in VALUES:
+            data = tomllib.loads(LINEAR) | {"plant": dict(plant)}
+            table = data.setdefault(tables[0], {}) if tables else data
+            if tables == ["rough"]:
+                table |= {"F": [[1]], "G": [[1]], "H": [[1]]}
+            table[name] = value
+            taken, valid = verdicts(data)
+            assert taken == valid, (path, value)
+            seen.add(taken)
+    assert seen == {True, False} or path == "plant.kind"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("steps = 42\n", ""),
+        ("[lifting]\noutputs = 4\ninputs = 4\n", ""),
+        ("alpha = 1.0", "alhpa = 1.0"),
+        ("[rough]", "[rouhg]"),
+    ],
+)
+def test_the_schema_and_the_parser_agree_on_which_keys_there_are(old, new):
+    text = f"{LINEAR}[rough]\nF = [[1]]\nG = [[1]]\nH = [[1]]\n"
+    assert verdicts(tomllib.loads(text)) == (True, True)
+    assert verdicts(tomllib.loads(text.replace(old, new))) == (False, False)
+
+
+def test_a_bound_is_said_where_it_is_checked():
+    """The words of a key are made of its bounds: one changes with the other."""
+    about = key("{}, a thing", integer(3, 8))
+    assert about["description"] == "an integer from 3 to 8, a thing"
+    assert [value for value in range(12) if fits(about, value)] == [3, 4, 5, 6, 7, 8]
+    about = key('{}, or "none"', FRACTION, WORDS)
+    assert about["description"] == 'a number in [0, 1), or "none"'
+    taken = [
+        value for value in (0, 0.5, 1, -0.1, 10**400, float("nan"), "none", "some", True, None) if fits(about, value)
+    ]
+    assert taken == [0, 0.5, "none"]
+
+
+def fits(about, value):
+    try:
+        fitted(about, value)
+    except ValueError:
+        return False
+    return True

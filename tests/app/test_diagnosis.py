@@ -21,7 +21,6 @@ from rhl.plants.examples import example
 from rhl.schedules import Constant
 from rhl.scheme import default_scheme
 from rhl.simulation import simulate
-from rhl.trace import Trace
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
 SCHEME = default_scheme(1, 1, 2)
@@ -185,7 +184,7 @@ def test_a_run_that_stopped_early_can_be_looked_at():
     far = LinearPlant([[1e40]], [[0.0]], [[1.0]])
     with pytest.raises(DivergedError) as caught:
         simulate(default_scheme(1, 1, 1), far, [1.0], 50)
-    found = diagnose_run(Trace(default_scheme(1, 1, 1), caught.value.steps))
+    found = diagnose_run(caught.value.trace)
     assert "Theorem 3, state and input go to zero" in unmet(found)
 
 

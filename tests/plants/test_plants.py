@@ -298,10 +298,6 @@ def add_in_place(z, v):
             r"transition\(z, v\) must be finite at z = 0, .* got array\(\[nan, nan",
         ),
         (lambda z, v: [10.0**400, 0.0], whole, "transition.* must be finite at z = 0"),
-        (lambda z, v: 1 / 0, whole, r"got ZeroDivisionError: division by zero; try it by hand at z = array\(\[0\., 0"),
-        (lambda z: z, whole, "got TypeError: .*takes 1 positional argument but 2 were given"),
-        (write, whole, r"leave its arguments alone, got an attempt to write .* begin with z = z.copy\(\)"),
-        (add_in_place, whole, "leave its arguments alone, got an attempt to write"),
         (
             still,
             lambda z: z[0],
@@ -315,6 +311,24 @@ def add_in_place(z, v):
 def test_function_plant_refuses(transition, measurement, sentence):
     with pytest.raises(PlantError, match=sentence):
         FunctionPlant(transition, measurement, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("transition", "kind", "said"),
+    [
+        (lambda z, v: 1 / 0, ZeroDivisionError, "division by zero"),
+        (lambda z: z, TypeError, "takes 1 positional argument but 2 were given"),
+        (write, ValueError, "read-only"),
+        (add_in_place, ValueError, "read-only"),
+    ],
+)
+def test_what_a_function_raises_is_let_through(transition, kind, said):
+    with pytest.raises(kind, match=said) as caught:
+        FunctionPlant(transition, whole, 2, 1)
+    assert type(caught.value) is kind
+    (note,) = caught.value.__notes__
+    assert note.startswith("rhl called transition(z, v) at z = array([0., 0.]), v = array([0.])")
+    assert note.endswith("begin with z = z.copy() to write into one")
 
 
 def test_function_plant_refuses_its_sizes():
@@ -331,9 +345,10 @@ def test_a_function_that_fails_later_says_where():
         return z[:1] if z[0] > 3 else z
 
     plant = FunctionPlant(sticky, whole, 2, 1)
-    with pytest.raises(PlantError, match=r"LookupError: no such gear; try .* z = array\(\[6., 0.\]\), v") as seen:
+    with pytest.raises(LookupError, match="no such gear") as seen:
         plant.step(np.array([6.0, 0.0]), np.zeros(1))
-    assert isinstance(seen.value.__cause__, LookupError)
+    assert seen.traceback[-1].name == "sticky"
+    assert seen.value.__notes__[0].startswith("rhl called transition(z, v) at z = array([6., 0.]), v = array([0.])")
     with pytest.raises(PlantError, match=r"must return an array of shape \(2,\), got shape \(1,\)"):
         plant.step(np.array([4.0, 0.0]), np.zeros(1))
     with pytest.raises(PlantError, match=r"measurement\(z\) must return an array of shape \(1,\), got shape \(2,\)"):

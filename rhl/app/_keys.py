@@ -1,0 +1,189 @@
+"""What a key of a run's TOML file may hold: said once, as a JSON schema, from which its check and its words follow."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from math import inf
+from typing import Any, Self
+
+from rhl._checks import describe
+from rhl.errors import InputError
+
+Kind = Mapping[str, Any]
+
+
+def integer(low: int, high: int) -> Kind:
+    return {"type": "integer", "minimum": low, "maximum": high}
+
+
+def list_of(*kinds: Kind) -> Kind:
+    return {"type": "array", "items": _either(*kinds)}
+
+
+def table_of(*sections: type[Section]) -> Kind:
+    return {"type": "object", "sections": sections}
+
+
+def _either(*kinds: Kind) -> Kind:
+    return kinds[0] if len(kinds) == 1 else {"anyOf": list(kinds)}
+
+
+# The upper ends are far above any use; they keep a slip of the keyboard from taking all memory.
+SIZE, LENGTH, COUNT = integer(1, 100), integer(1, 10_000), integer(1, 100_000)
+NUMBER: dict[str, Any] = {"type": "number"}
+POSITIVE: Kind = NUMBER | {"exclusiveMinimum": 0}
+NOT_NEGATIVE: Kind = NUMBER | {"minimum": 0}
+FRACTION: Kind = NUMBER | {"minimum": 0, "exclusiveMaximum": 1}
+OPEN_FRACTION: Kind = NUMBER | {"exclusiveMinimum": 0, "exclusiveMaximum": 1}
+FLAG: Kind = {"type": "boolean"}
+TEXT: dict[str, Any] = {"type": "string"}
+VECTOR = list_of(NUMBER)
+MATRIX = list_of(VECTOR)
+# Of numbers, and "?" where one is not known.
+PARTIAL = list_of(list_of(NUMBER, TEXT | {"enum": ["?"]}))
+# One of the words that stand in quotes in the key's description.
+WORDS: Kind = {}
+
+_TYPES: dict[str, Any] = {
+    "integer": int,
+    "number": (int, float),
+    "boolean": bool,
+    "string": str,
+    "array": list,
+    "object": (),  # tables are read by their sections
+    "none": (),
+}
+
+
+def key(what: str, *kinds: Kind, default: Any = ...) -> Any:
+    """Declare a key of a section.
+
+    Parameters
+    ----------
+    what : str
+        Completes the sentence "KEY must be ..."; ``{}`` in it becomes what the first kind says.
+    *kinds : Kind
+        The value is of one of them; of ``WORDS`` where none is given.
+    default : object, optional
+        What it is where the key is left out; such a key may be.
+    """
+    words, kinds = TEXT | {"enum": re.findall('"([^"]*)"', what)}, kinds or (WORDS,)
+    about = {"description": what.replace("{}", _said(kinds[0])), **_either(*(kind or words for kind in kinds))}
+    return about if default is ... else {**about, "default": default}
+
+
+def _said(kind: Kind) -> str:
+    low, high = (kind.get(end, kind.get(f"exclusive{end.title()}")) for end in ("minimum", "maximum"))
+    match kind.get("type"), low, high:
+        case "integer", _, _:
+            return f"an integer from {low} to {high}"
+        case "number", None, None:
+            return "a number"
+        case "number", _, None:
+            return f"a number of at least {low}" if "minimum" in kind else "a positive number"
+        case "number", _, _:
+            return f"a number in {'[' if 'minimum' in kind else '('}{low}, {high})"
+    return {"boolean": "true or false", "string": "a string", "object": "a section"}.get(kind.get("type", ""), "")
+
+
+def fitted(kind: Kind, value: Any) -> Any:
+    """Return a value as its key holds it: what is a number as float.
+
+    Raises
+    ------
+    ValueError
+        If it is not of this kind.
+    """
+    for option in kind.get("anyOf", ()):
+        with suppress(ValueError):
+            return fitted(option, value)
+    what: str = kind.get("type", "none")
+    if not isinstance(value, _TYPES[what]) or isinstance(value, bool) != (what == "boolean"):
+        raise ValueError
+    if isinstance(value, list):
+        return [fitted(kind["items"], entry) for entry in value]
+    if what == "number":
+        try:
+            value = float(value)
+        except OverflowError:
+            raise ValueError from None
+    if what in ("integer", "number"):
+        # NaN fails every comparison, so it is refused by the same line.
+        inside = kind.get("exclusiveMinimum", -inf) < value < kind.get("exclusiveMaximum", inf)
+        if not (inside and kind.get("minimum", -inf) <= value <= kind.get("maximum", inf)):
+            raise ValueError
+    elif value not in kind.get("enum", (value,)):
+        raise ValueError
+    return value
+
+
+class Section:
+    """A table of the file: its keys are attributes, of the class what they must be, of an instance what they are."""
+
+    def __init__(self, given: dict[str, Any]) -> None:
+        self.given = given
+        vars(self).update({name: about.get("default") for name, about in self.keys().items()} | given)
+
+    @classmethod
+    def keys(cls) -> dict[str, Kind]:
+        """Return what each key must be, in the order of the file."""
+        return {name: about for name, about in vars(cls).items() if isinstance(about, dict)}
+
+    @classmethod
+    def tag(cls) -> str:
+        """Return the kind of a table that there are several of, quoted."""
+        return cls.keys().get("kind", {}).get("description", "")
+
+    @classmethod
+    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]]) -> Self:
+        """Read a table; append what is wrong with it to a list: whether a key is unknown, and a sentence."""
+        keys, values = cls.keys(), {}
+        for name, about in keys.items():
+            what, kinds = f"{at}{name} must be {about['description']}", about.get("sections", ())
+            if name not in table:
+                if "default" not in about:
+                    wrong.append((False, f"{what}, got nothing; add the {'section' if kinds else 'key'}"))
+            elif kinds and isinstance(table[name], dict):
+                tag = f'"{table[name].get("kind")}"'
+                chosen = kinds if len(kinds) == 1 else [kind for kind in kinds if kind.tag() == tag]
+                if chosen:
+                    values[name] = chosen[0].read(f"{name}.", table[name], wrong)
+                else:
+                    *others, last = (kind.tag() for kind in kinds)
+                    got = describe(table[name]["kind"]) if "kind" in table[name] else "no such key"
+                    wrong.append((False, f"{name}.kind must be {', '.join(others)} or {last}, got {got}"))
+            else:
+                try:
+                    values[name] = fitted(about, table[name])
+                except ValueError:
+                    wrong.append((False, f"{what}, got {describe(table[name])}"))
+        for name in (name for name in table if name not in keys):
+            # A key may be any text; what is no plain word is shown quoted, so that it stays on its line.
+            plain = isinstance(name, str) and name.replace("-", "_").isidentifier() and len(name) <= 60
+            known = f"{at}{name if plain else describe(name)}"
+            wrong.append((True, f"{known} is not a known key; expected one of {', '.join(keys)}, got {known}"))
+        return cls(values)
+
+    @classmethod
+    def schema(cls) -> dict[str, Any]:
+        """Return the table's form as a JSON schema."""
+        keys = cls.keys()
+        properties = {}
+        for name, about in keys.items():
+            shown = {part: value for part, value in about.items() if part != "sections" and value is not None}
+            kinds = [section.schema() for section in about.get("sections", ())]
+            properties[name] = shown | ({} if not kinds else kinds[0] if len(kinds) == 1 else {"oneOf": kinds})
+        return {
+            "type": "object",
+            "description": " ".join((cls.__doc__ or "").split()),
+            "properties": properties,
+            "required": [name for name, about in keys.items() if "default" not in about],
+            "additionalProperties": False,
+        }
+
+    def heeded(self, name: str, heeded: bool, where: str) -> None:
+        """Refuse a key that is given and would not be heeded."""
+        if name in self.given and not heeded:
+            raise InputError(f"{name} must be left out {where}, got {describe(getattr(self, name))}; it has no effect")
