@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, describe, instance, real_array
+from rhl.controllability import chosen
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
 from rhl.horizon import V1, Plan, first_input, solve
@@ -184,7 +185,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
     estimate = estimator.minimise(state.model, x, u, state.k)
-    lam = scheme.mixing.choose(estimate, state.model, lifting.augment)
+    lam = chosen(scheme.mixing, estimate, state.model, lifting.augment)
     model = estimate.mix(state.model, lam)
     stage = np.full(lead, state.k) if state.stage is None else state.stage
     X = lifting.with_past_inputs(x[..., 0, :], v_history)

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import lstsq, null_space
 
 from rhl._checks import Array, describe, instance, integer, numbers, real_array
 from rhl.errors import InputError
@@ -62,7 +61,7 @@ class LinearConstraints:
         object.__setattr__(self, "M", M)
         object.__setattr__(self, "b", b)
         if len(b):
-            left = np.abs(M @ lstsq(M, b)[0] - b)
+            left = np.abs(M @ _least_norm(M, b) - b)
             size = np.abs(M).max(axis=1) + np.abs(b)
             worst = int(np.argmax(left / np.where(size > 0, size, 1)))
             if left[worst] > _MET_RTOL * size[worst] or size[worst] == 0 < left[worst]:
@@ -142,7 +141,32 @@ class LinearConstraints:
     @cached_property
     def null_space(self) -> Array:
         """An orthonormal basis of the directions in which theta may move, shape (n (n + q), freedom)."""
-        return null_space(self.M) if len(self.b) else np.eye(self.M.shape[1])
+        return _null_space(self.M)
+
+    @cached_property
+    def _within_rows(self) -> dict[int, list[Array] | None]:
+        return {}
+
+    def within_rows(self, n: int) -> list[Array] | None:
+        """Return the directions in which each of the n rows of [A B] may move, if no equality couples two rows.
+
+        Parameters
+        ----------
+        n : int
+            How many rows [A B] has; theta holds them column by column.
+
+        Returns
+        -------
+        list of arrays, shapes (n + q, freedom), or None
+            Orthonormal bases.
+        """
+        if n not in self._within_rows:
+            by_row = self.M.reshape(len(self.M), self.M.shape[1] // n, n)
+            touched = np.any(by_row, axis=1)
+            apart = bool(np.all(np.sum(touched, axis=1) <= 1))
+            rows = [by_row[touched[:, i], :, i] for i in range(n)]
+            self._within_rows[n] = [_null_space(M) for M in rows] if apart else None
+        return self._within_rows[n]
 
     def check(self, name: str, model: SignalModel) -> None:
         """Refuse a model that is of another size, or that does not satisfy the equalities.
@@ -176,5 +200,17 @@ class LinearConstraints:
             raise InputError(f"the model must have {self.M.shape[1]} parameters, got {theta.shape[-1]}")
         if not len(self.b):
             return model
-        known = lstsq(self.M, self.b)[0]
+        known = _least_norm(self.M, self.b)
         return SignalModel.from_theta(known + (theta @ self.null_space) @ self.null_space.T, model.n, model.q)
+
+
+def _least_norm(M: Array, b: Array) -> Array:
+    from scipy.linalg import lstsq  # here, because it takes a while to load
+
+    return np.asarray(lstsq(M, b)[0])
+
+
+def _null_space(M: Array) -> Array:
+    from scipy.linalg import null_space  # likewise
+
+    return np.asarray(null_space(M)) if len(M) else np.eye(M.shape[1])

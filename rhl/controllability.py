@@ -8,8 +8,8 @@ from typing import Literal, Protocol, get_args
 
 import numpy as np
 
-from rhl._checks import Array, choice, fraction, instance, integer, positive
-from rhl.errors import LostControllabilityError
+from rhl._checks import Array, choice, describe, fraction, instance, integer, numbers, positive
+from rhl.errors import InputError, LostControllabilityError, RHLError
 from rhl.model import SignalModel
 
 Augment = Callable[[SignalModel], SignalModel]
@@ -50,10 +50,10 @@ def controllability_margin(model: SignalModel) -> Array:
 
 
 class Mixing(Protocol):
-    """Chooses lambda_k of equation (15)."""
+    """Chooses lambda_k of equation (15): any object with this function can be a scheme's mixing."""
 
     def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
-        """Return lambda in [0, 1), shape (...), for (1 - lambda) estimate + lambda previous."""
+        """Return lambda in [0, 1), a number or shape (...), for (1 - lambda) estimate + lambda previous."""
 
 
 @dataclass(frozen=True)
@@ -200,22 +200,55 @@ class LambdaSearch:
             If no candidate reaches the margin.
         """
         view: Augment = augment if self.pair == "augmented" else lambda model: model
+        lost = ~(controllability_margin(view(estimate)) >= self.least_margin)
+        lead = np.broadcast_shapes(lost.shape, previous.A.shape[:-2])
+        lost, chosen = np.broadcast_to(lost, lead), np.zeros(lead)
         # Mostly nothing is lost, and then no candidate need be looked at.
-        if np.all(controllability_margin(view(estimate)) >= self.least_margin):
-            return np.zeros(estimate.A.shape[:-2])
-        lam = np.concatenate([[0.0], candidates(view(estimate).n, self.lambda_max, self.count)])
-        stacked = [SignalModel(M.A[..., None, :, :], M.B[..., None, :, :]) for M in (estimate, previous)]
-        margins = controllability_margin(view(stacked[0].mix(stacked[1], lam)))
+        if np.any(lost):
+            chosen[lost] = self._search(_members(estimate, lost, lead), _members(previous, lost, lead), view)
+        return chosen
+
+    def _search(self, estimate: SignalModel, previous: SignalModel, view: Augment) -> Array:
+        """Search lambda for members, shape (members, 1), all of which have lost controllability."""
+        lam = candidates(view(estimate).n, self.lambda_max, self.count)
+        margins = np.nan_to_num(controllability_margin(view(estimate.mix(previous, lam))))
         enough = margins >= self.least_margin
         if not np.all(np.any(enough, axis=-1)):
             raise LostControllabilityError(
                 f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
-                f"{self.least_margin:g} (largest found {np.min(np.max(np.nan_to_num(margins), axis=-1)):.3g}); "
+                f"{self.least_margin:g} (largest found {np.min(np.max(margins, axis=-1)):.3g}); "
                 "widen lambda_max, lower least_margin, mix by a constant, "
                 "or start from a model that is better controllable"
             )
-        first = np.argmax(enough, axis=-1)
-        chosen = (
-            first if self.rule == "first" else np.where(enough[..., 0], 0, np.argmax(np.nan_to_num(margins), axis=-1))
-        )
-        return np.asarray(lam[chosen])
+        return np.asarray(lam[np.argmax(enough if self.rule == "first" else margins, axis=-1)])
+
+
+def _members(model: SignalModel, those: np.ndarray, lead: tuple[int, ...]) -> SignalModel:
+    """Return some members of a batch, with room for candidates: shape (members, 1)."""
+    A, B = (np.broadcast_to(M, (*lead, *M.shape[-2:]))[those][:, None] for M in (model.A, model.B))
+    return SignalModel(A, B)
+
+
+def chosen(mixing: Mixing, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
+    """Return what a mixing chooses, the user's own too, one lambda in [0, 1) for each member of the batch.
+
+    InputError if it chooses anything else; what a mixing of the user's own raises comes through as it is.
+    """
+    lead = np.broadcast_shapes(estimate.A.shape[:-2], previous.A.shape[:-2])
+    name, each = type(mixing).__name__, f" for each member of the batch, shape {lead}" if lead else ""
+    asked = f"{name}.choose must return a lambda in [0, 1){each}, got "
+    try:
+        found = mixing.choose(estimate, previous, augment)
+    except Exception as error:
+        if not isinstance(error, RHLError):
+            error.add_note(f"the function 'choose' of {name} raised this")
+        raise
+    try:
+        lam = numbers(found)
+    except Exception:  # ragged, complex, strings, or whatever an object's own conversion raises
+        raise InputError(asked + describe(found)) from None
+    if lam.shape not in ((), lead):
+        raise InputError(f"{asked}shape {lam.shape}")
+    if not np.all((lam >= 0) & (lam < 1)):
+        raise InputError(f"{asked}{lam[~((lam >= 0) & (lam < 1))][0]:g}")
+    return np.broadcast_to(lam, lead)

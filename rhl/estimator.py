@@ -10,10 +10,11 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer, real_array
 from rhl._lanes import blocks, from_lanes, to_lanes
-from rhl._proximal import Proximal, quadratic, regression
 from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.losses import Convex, Varying, WeightedSquares, called, convex
+from rhl.losses._descent import solve
+from rhl.losses._proximal import Proximal, quadratic, regression, regression_of_rows
 from rhl.model import SignalModel
 
 __all__ = ["NotSolvedError", "ProximalEstimator"]
@@ -31,10 +32,12 @@ class ProximalEstimator:
     ----------
     window : int
         :math:`\bar N`, the number of transitions x(j-1), u(j-1) -> x(j) that are fitted.
-    loss : WeightedSquares, LogCosh, PseudoHuber, CustomLoss or Varying
-        c; weights: one number, or one for each of the window n residuals, newest transition first.
-    generator : WeightedSquares, Entropy, LogCosh, PseudoHuber or CustomLoss
-        g, which induces D; weights: one number, or one for each of the n (n + q) parameters, column by column.
+    loss : Convex or Varying
+        c, of ``rhl.losses`` or of your own; weights: one number, or one for each of the window n residuals, newest
+        transition first.
+    generator : Convex
+        g, likewise, which induces D; weights: one number, or one for each of the n (n + q) parameters, column by
+        column.
     constraints : LinearConstraints, optional
         M and b, what is known of the model beforehand.
 
@@ -51,10 +54,11 @@ class ProximalEstimator:
 
     Notes
     -----
-    Source: equations (15) to (17). With weighted squares the problem is a regularised least-squares problem, for each
-    row of [A B] by itself where the weights are entrywise (Remark 2); it is solved by an orthogonal factorisation, so
-    that the data are never squared. Every other loss and generator goes to scipy's trust-region method, which starts
-    at the centre; its answer must pass the certificate ``newton_decrement``.
+    Source: equations (15) to (17). Where loss and generator are sums over entries and no equality couples rows of
+    [A B], the problem is one for each row (Remark 2), and is solved and certified so. With weighted squares that is a
+    regularised least-squares problem, solved by an orthogonal factorisation, so that the data are never squared.
+    Every other loss and generator is left to Newton's method, and to scipy's trust-region method where that one
+    fails; their answer must pass the certificate ``newton_decrement``.
     """
 
     window: int
@@ -103,19 +107,15 @@ class ProximalEstimator:
         ------
         InputError
             If shapes or weights do not fit the model and the window, the centre does not satisfy the constraints or
-            lies outside the generator's domain, or a function of the user's own misbehaves.
+            lies outside the generator's domain, or a function of the user's own returns what it must not.
         NotSolvedError
             If the answer to a problem that is not quadratic misses its certificate.
         """
         loss, x, u = self._problem(centre, x, u, k)
         if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
-            if self.constraints is None and _entrywise(loss) and _entrywise(self.generator):
-                return self._row_by_row(centre, x, u, k)
-            free = self._free(centre)
-            theta = quadratic(*regression(x, u), loss, self.generator, centre.theta, free)
-        else:
-            lead, problems = self._problems(loss, centre, x, u)
-            theta = np.reshape([problem.solve() for problem in problems], (*lead, centre.theta.shape[-1]))
+            return self._squares(loss, self.generator, centre, x, u, k)
+        lead, problems = self._problems(loss, centre, x, u)
+        theta = np.reshape([solve(problem) for problem in problems], (*lead, centre.theta.shape[-1]))
         return SignalModel.from_theta(theta, centre.n, centre.q)
 
     def newton_decrement(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
@@ -165,17 +165,44 @@ class ProximalEstimator:
                 )
         return loss, x, u
 
-    def _free(self, centre: SignalModel) -> Array:
+    def _free(self, centre: SignalModel) -> list[Array] | None:
+        """Return the directions in which each row of [A B] may move, if equalities stay within rows, else None."""
         if self.constraints is None:
-            return np.eye(centre.theta.shape[-1])
+            return [np.eye(centre.n + centre.q)] * centre.n
         self.constraints.check("the centre", centre)
-        return self.constraints.null_space
+        return self.constraints.within_rows(centre.n)
+
+    def _squares(
+        self, c: WeightedSquares, g: WeightedSquares, centre: SignalModel, x: Array, u: Array, k: int
+    ) -> SignalModel:
+        entrywise = _entrywise(c) and _entrywise(g)
+        if self.constraints is None and entrywise:
+            return self._row_by_row(centre, x, u, k)
+        free = self._free(centre)
+        if free is None or not entrywise:
+            known = self.constraints
+            directions = np.eye(centre.theta.shape[-1]) if known is None else known.null_space
+            theta = quadratic(*regression(x, u), c.weight, g.weight, centre.theta, directions)
+            return SignalModel.from_theta(theta, centre.n, centre.q)
+        trust, hold = self._weights(centre.n, centre.q, k)
+        R, rows = regression_of_rows(x, u)[1], np.concatenate([centre.A, centre.B], axis=-1)
+        lead = np.broadcast_shapes(R.shape[:-2], rows.shape[:-2])
+        found = np.array(np.broadcast_to(rows, (*lead, *rows.shape[-2:])))
+        for i in range(centre.n):
+            if free[i].shape[1]:
+                found[..., i, :] = quadratic(x[..., :-1, i], R, trust[i], hold[i], rows[..., i, :], free[i])
+        return SignalModel(found[..., : centre.n], found[..., centre.n :])
 
     def _problems(
         self, loss: Convex, centre: SignalModel, x: Array, u: Array
     ) -> tuple[tuple[int, ...], list[Proximal]]:
         """Return the batch axes and one problem for each member."""
-        free, (s, R) = self._free(centre), regression(x, u)
+        free: list[Array] | None = self._free(centre)
+        if free is None:
+            assert self.constraints is not None
+            (s, R), free = regression(x, u), [self.constraints.null_space]
+        else:
+            (s, R), free = regression_of_rows(x, u), None if self.constraints is None else free
         lead = np.broadcast_shapes(s.shape[:-1], centre.theta.shape[:-1])
         s, R = np.broadcast_to(s, (*lead, *s.shape[-1:])), np.broadcast_to(R, (*lead, *R.shape[-2:]))
         theta = np.broadcast_to(centre.theta, (*lead, centre.theta.shape[-1]))
@@ -191,12 +218,16 @@ class ProximalEstimator:
 
         Rows that have the same weights share one factorisation; mostly that is all of them, and then there is one row.
         """
-        loss = self.loss.loss(k) if isinstance(self.loss, Varying) else self.loss
-        trust, hold = (np.sqrt(np.asarray(cast(WeightedSquares, of).weight)) for of in (loss, self.generator))
-        trust = np.broadcast_to(trust, self.window * n).reshape(self.window, n).T
-        hold = np.broadcast_to(hold, n * (n + q)).reshape(n + q, n).T
+        trust, hold = (np.sqrt(weight) for weight in self._weights(n, q, k))
         rows = 1 if np.all(trust == trust[0]) and np.all(hold == hold[0]) else n
         return np.ascontiguousarray(trust[:rows]), np.ascontiguousarray(hold[:rows])
+
+    def _weights(self, n: int, q: int, k: int) -> tuple[Array, Array]:
+        """Return the weights of squares, row by row of [A B], shapes (n, window) and (n, n + q)."""
+        loss = self.loss.loss(k) if isinstance(self.loss, Varying) else self.loss
+        trust, hold = (np.asarray(cast(WeightedSquares, of).weight) for of in (loss, self.generator))
+        trust = np.broadcast_to(trust, self.window * n).reshape(self.window, n).T
+        return trust, np.broadcast_to(hold, n * (n + q)).reshape(n + q, n).T
 
     def _row_by_row(self, centre: SignalModel, x: Array, u: Array, k: int) -> SignalModel:
         from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
@@ -206,7 +237,8 @@ class ProximalEstimator:
         weights, theta = self.roots_of_weights(centre.n, centre.q, k), np.empty_like(given[-1])
         for part in blocks(theta.shape[-1]):
             fitted = np.empty((*theta.shape[:-1], part.stop - part.start))
-            loops.fit(*(np.ascontiguousarray(M[..., part]) for M in given), *weights, fitted)
+            x_part, u_part, held = (np.ascontiguousarray(M[..., part]) for M in given)
+            loops.fit(x_part, u_part, held, *weights, fitted)
             theta[..., part] = fitted
         found = from_lanes(theta, lead)
         return SignalModel(found[..., : centre.n], found[..., centre.n :])

@@ -118,8 +118,8 @@ class Scheme:
         Equation (3).
     initial_model : SignalModel
         theta~(0), lifted; controllable (Theorem 2(iii)).
-    mixing : ConstantMixing or LambdaSearch
-        How lambda_k is chosen.
+    mixing : Mixing
+        How lambda_k is chosen: ConstantMixing, LambdaSearch, or an object of your own with a function ``choose``.
 
     Raises
     ------
@@ -142,7 +142,10 @@ class Scheme:
             ("initial_model", SignalModel),
         ):
             instance(name, getattr(self, name), kind)
-        instance("mixing", self.mixing, ConstantMixing, LambdaSearch)
+        # An array has a function of that name, which does something else.
+        if not callable(getattr(self.mixing, "choose", None)) or isinstance(self.mixing, type | np.ndarray):
+            wanted = "a ConstantMixing, a LambdaSearch, or an object with a function choose"
+            raise InputError(f"mixing must be {wanted}, got {describe(self.mixing)}")
         augmented = self.lifting.augment(self.initial_model)
         self.lifting.output_size(self.initial_model.n)
         if self.estimator.constraints is not None:

@@ -259,12 +259,6 @@ API = [
     ("entropy of a matrix", lambda: Entropy(np.eye(2)), r"^weight must be positive, .*got shape \(2, 2\)", None),
     ("own without gradient", lambda: CustomLoss(fails, None), r"^gradient must be a function of x, got None", None),
     (
-        "own raises",
-        lambda: own(gradient=fails),
-        r"'gradient' must take x .*got ValueError: first line second",
-        "call it",
-    ),
-    (
         "own of NaN",
         lambda: own(gradient=lambda x: x * np.nan),
         r"'gradient' must return finite .*got \[nan\]?",
@@ -278,12 +272,6 @@ API = [
         None,
     ),
     ("varying by a loss", lambda: Varying(LogCosh()), r"^at must be a function of k .*got LogCosh", None),
-    (
-        "varying raises",
-        lambda: Varying(fails).loss(2),
-        r"^at must return the loss of step 2, got ValueError: first",
-        None,
-    ),
     (
         "distance of other lengths",
         lambda: divergence(WeightedSquares(), [1.0, 2.0], [1.0]),
@@ -429,7 +417,7 @@ API = [
     ("delay an array", lambda: controller(model_delay=np.eye(2)), r"^model_delay must be 0 or 1, got array", None),
     ("adaptive 1", lambda: controller(adaptive=1), r"^adaptive must be True or False, got 1", None),
     ("lifting None", lambda: scheme(lifting=None), r"^lifting must be a DelayLifting, got None", None),
-    ("mixing a number", lambda: scheme(mixing=0.5), r"^mixing must be a ConstantMixing or a Lam.*got 0.5", None),
+    ("mixing a number", lambda: scheme(mixing=0.5), r"^mixing must be a ConstantMixing, a Lam.*got 0.5", None),
     (
         "Q of the scheme",
         lambda: scheme(controller=controller(Q=np.eye(2))),

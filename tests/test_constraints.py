@@ -214,6 +214,17 @@ def test_batches_agree_with_members():
         np.testing.assert_allclose(together[index], alone, rtol=1e-12, atol=ROUNDING)
 
 
+@pytest.mark.parametrize("known", [LinearConstraints.shift(1, 2, 1, 2), LinearConstraints(np.ones((1, 8)), [1.0])])
+def test_one_window_for_a_batch_of_centres(known):
+    rng = np.random.default_rng(SEED)
+    centre = known.nearest(draw(rng, 2, 2, (3,)))
+    x, u, made = rng.standard_normal((5, 2)), rng.standard_normal((4, 2)), ProximalEstimator(4, constraints=known)
+    together = made.minimise(centre, x, u).theta
+    for i in range(3):
+        alone = made.minimise(SignalModel(centre.A[i], centre.B[i]), x, u).theta
+        np.testing.assert_allclose(together[i], alone, rtol=1e-12, atol=ROUNDING)
+
+
 # What is refused
 
 

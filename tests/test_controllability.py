@@ -250,6 +250,43 @@ def test_batches_agree_with_members(rule):
         assert together[i] == alone
 
 
+@pytest.mark.parametrize("pair", ["lifted", "augmented"])
+@pytest.mark.parametrize("rule", ["first", "best"])
+def test_only_members_that_have_lost_it_are_searched(pair, rule, monkeypatch):
+    rng = np.random.default_rng(SEED)
+    A, B = rng.standard_normal((2, 3, 2, 2)), rng.standard_normal((2, 3, 2, 2))
+    A[1, 1, 1, 0] = B[1, 1, 1] = 0.0
+    estimates = SignalModel(A, B)
+    previous = SignalModel(rng.standard_normal((2, 3, 2, 2)), rng.standard_normal((2, 3, 2, 2)))
+    search, lifting = LambdaSearch(pair, rule), DelayLifting(2, 2)
+    alone = {
+        at: search.choose(SignalModel(A[at], B[at]), SignalModel(previous.A[at], previous.B[at]), lifting.augment)
+        for at in np.ndindex(2, 3)
+    }
+    examined = []
+
+    def spy(model):
+        examined.append(model.A.shape[:-2])
+        return controllability_margin(model)
+
+    monkeypatch.setattr("rhl.controllability.controllability_margin", spy)
+    together = search.choose(estimates, previous, lifting.augment)
+    order = 2 if pair == "lifted" else 3
+    # Each estimate once, and the candidates of one member.
+    assert examined == [(2, 3), (1, 2 * order**2 + 1)]
+    assert all(together[at] == lam for at, lam in alone.items())
+    assert np.argwhere(together).tolist() == [[1, 1]]
+
+
+def test_one_previous_model_for_a_batch():
+    lost, good = SignalModel(np.zeros((2, 1, 1)), np.array([[[0.0]], [[1.0]]])), SignalModel([[0.0]], [[1.0]])
+    assert np.array_equal(LambdaSearch("lifted", "first").choose(lost, good, identity), [candidates(1, 0.9)[0], 0])
+    # One estimate, lost, beside a batch of models before it.
+    batch = SignalModel(np.zeros((3, 1, 1)), np.ones((3, 1, 1)))
+    found = LambdaSearch("lifted", "first").choose(SignalModel([[0.0]], [[0.0]]), batch, identity)
+    assert np.array_equal(found, np.full(3, candidates(1, 0.9)[0]))
+
+
 def test_constant_mixing():
     batch = SignalModel(np.zeros((4, 1, 1)), np.zeros((4, 1, 1)))
     assert np.array_equal(ConstantMixing(0.5).choose(batch, batch, identity), np.full(4, 0.5))

@@ -1,6 +1,7 @@
 """Equation (15) beyond squares: the general solver beside the closed form, 50 digits, the L1 limit, its certificate."""
 
 import re
+import time
 import warnings
 
 import numpy as np
@@ -9,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from rhl import _proximal
-from rhl._proximal import Proximal, quadratic, regression
 from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.estimator import ProximalEstimator
-from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares
+from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, _descent, _proximal
+from rhl.losses._descent import solve
+from rhl.losses._proximal import Proximal, quadratic, regression
 from rhl.model import SignalModel
 from tests import oracle
 
@@ -130,7 +131,7 @@ def test_closed_form_solves_the_normal_equations():
     rng = np.random.default_rng(SEED)
     s, R, centre = rng.standard_normal(6), rng.standard_normal((6, 5)), rng.standard_normal(5)
     C, G, free = spd(rng, 6), spd(rng, 5), np.linalg.qr(rng.standard_normal((5, 3)))[0]
-    found = quadratic(s, R, WeightedSquares(C), WeightedSquares(G), centre, free)
+    found = quadratic(s, R, C, G, centre, free)
     C, G, R, free, s, centre = map(oracle.exact, (C, G, R, free, s, centre))
     xi = oracle.solve(free.T @ (R.T @ C @ R + G) @ free, free.T @ R.T @ C @ (s - R @ centre))
     assert oracle.relative_error(found, centre + free @ xi) < AGREES
@@ -234,7 +235,7 @@ def test_general_solver_keeps_what_is_known(pair):
     found = made.minimise(centre, x, u)
     assert np.max(np.abs(M @ found.theta - constraints.b)) < 1e-13
     s, R = regression(x, u)
-    problem = Proximal(s, R, c, g, centre.theta, constraints.null_space)
+    problem = Proximal(s, R, c, g, centre.theta, [constraints.null_space])
     assert np.max(np.abs(constraints.null_space.T @ problem.gradient(found.theta))) < 1e-12
     assert np.max(np.abs(problem.gradient(found.theta))) > 1e-3
     for direction in constraints.null_space.T:
@@ -273,19 +274,19 @@ def test_sharp_valleys(kind, data, scale, seed):
 @pytest.fixture
 def softened(monkeypatch):
     """Every t at which the solver looks at c(t e) / t^2."""
-    seen, plain = [], _proximal._Scaled
+    seen, plain = [], _descent._Scaled
 
     def counted(c, t):
         seen.append(float(t))
         return plain(c, t)
 
-    monkeypatch.setattr(_proximal, "_Scaled", counted)
+    monkeypatch.setattr(_descent, "_Scaled", counted)
     return seen
 
 
 def test_softened_losses_lead_into_the_valley(softened):
-    centre, x, u = case(np.random.default_rng(SEED), 1, 1, 3, 1e6)
-    sharp = ProximalEstimator(3, LogCosh(1.0, 1e-3))
+    centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3, 1e6)
+    sharp = ProximalEstimator(3, counted(LogCosh(1.0, 1e-3))[0])
     found = sharp.minimise(centre, x, u)
     assert len(softened) > 10
     assert softened[-1] == 1
@@ -298,7 +299,7 @@ def test_softened_losses_lead_into_the_valley(softened):
 
 def test_softened_loss_is_the_loss_at_another_scale():
     """c(t e) / t^2 of log cosh with scale s is log cosh with scale s / t."""
-    e, soft, wide = np.array([0.3, -5.0, 40.0]), _proximal._Scaled(LogCosh(0.5), 0.125), LogCosh(4.0)
+    e, soft, wide = np.array([0.3, -5.0, 40.0]), _descent._Scaled(LogCosh(0.5), 0.125), LogCosh(4.0)
     for found, expected in ((soft.value, wide.value), (soft.gradient, wide.gradient), (soft.hessian, wide.hessian)):
         np.testing.assert_allclose(found(e), expected(e), rtol=1e-14)
     assert (soft.lower, soft.assumption_6, soft.convex_in_second) == (-np.inf, True, False)
@@ -335,21 +336,22 @@ def test_certificate_of_answers_and_of_others(pair):
 def test_certificate_is_not_deceived_by_a_kink():
     """On the kink of a sharp loss Newton's step is short, though the pull of the centre outweighs the loss's by far."""
     sharp, R = LogCosh(1e-9, 1e9), np.array([[1.0, 0.0]])
-    problem = Proximal(np.array([10.0]), R, sharp, WeightedSquares(), np.zeros(2), np.eye(2))
+    problem = Proximal(np.array([10.0]), R, sharp, WeightedSquares(), np.zeros(2))
     kink = np.array([10.0, 0.0])
     assert problem.newton(kink)[0] < 1e-7
     assert problem.newton_decrement(kink) > 0.05
     # The loss pulls with 2, the generator with 2 theta.
-    np.testing.assert_allclose(problem.solve(), [1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(solve(problem), [1.0, 0.0], atol=1e-9)
 
 
 def test_an_answer_that_misses_the_certificate_is_not_given(monkeypatch):
     centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3, 1e3)
-    made = ProximalEstimator(3, LogCosh(1.0))
+    made = ProximalEstimator(3, counted(LogCosh(1.0))[0])
     assert made.newton_decrement(made.minimise(centre, x, u), centre, x, u) < 1e-12
-    monkeypatch.setattr(_proximal, "_ITERATIONS", 1)
-    monkeypatch.setattr(_proximal, "_POLISHES", 0)
-    monkeypatch.setattr(_proximal, "_MOST_HALVINGS", 0)
+    monkeypatch.setattr(_descent, "_ITERATIONS", 1)
+    monkeypatch.setattr(_descent, "_STEPS", 1)
+    monkeypatch.setattr(_descent, "_POLISHES", 0)
+    monkeypatch.setattr(_descent, "_MOST_HALVINGS", 0)
     with pytest.raises(NotSolvedError, match=r"a relative distance of 1e-07 from its minimiser, got .* a larger scale"):
         made.minimise(centre, x, u)
 
@@ -362,14 +364,125 @@ def test_a_loss_that_is_not_convex_is_not_solved():
         ProximalEstimator(2, c).minimise(centre, x, u)
 
 
+# Row by row, and all at once
+
+
+def within_rows(rng, n, q):
+    """Equalities that act within rows: of three kinds, so that rows differ in how free they are."""
+    return [
+        None,
+        LinearConstraints.shift(1, n, 1, q),
+        LinearConstraints.entries(np.where(rng.random((n, n)) < 0.4, 0.3, np.nan), np.full((n, q), np.nan)),
+        LinearConstraints(np.kron(rng.standard_normal((1, n + q)), np.eye(n)[:1]), [0.2]),
+    ]
+
+
+ROWS = [
+    (WeightedSquares(), WeightedSquares()),
+    (WeightedSquares(np.arange(1.0, 10.0)), WeightedSquares(np.arange(1.0, 16.0))),
+    (LogCosh(0.3, np.arange(1.0, 10.0)), WeightedSquares()),
+    (PseudoHuber(0.3), WeightedSquares(np.arange(1.0, 16.0))),
+    (WeightedSquares(), Entropy(np.arange(1.0, 16.0))),
+    (LogCosh(0.05), Entropy()),
+    (CustomLoss(LogCosh().value, LogCosh().gradient, LogCosh().hessian, assumption_6=True), Entropy()),
+]
+
+
+@pytest.mark.parametrize("kind", range(4))
+@pytest.mark.parametrize("pair", ROWS, ids=name)
+def test_row_by_row_is_all_at_once(pair, kind, monkeypatch):
+    """Newton's steps, certificates and answers; rows are freed from each other by the shape of a hessian alone."""
+    c, g = pair
+    n, q, window = 3, 2, 3
+    rng = np.random.default_rng([SEED, kind])
+    known = within_rows(rng, n, q)[kind]
+    centre, x, u = case(rng, n, q, window)
+    centre = inside(g, centre)
+    if known is not None:
+        centre = known.nearest(centre)
+        if g.lower == 0 and not np.all(centre.theta > 0):
+            known = LinearConstraints(known.M, known.M @ inside(g, centre).theta)
+            centre = inside(g, centre)
+    made = ProximalEstimator(window, c, g, known)
+    rows = made._problems(c, centre, x, u)[1][0]
+    assert rows.blocks == n
+    s, R = regression(x, u)
+    whole = Proximal(s, R, c, g, centre.theta, None if known is None else [known.null_space])
+    assert whole.blocks == 1
+    answer = solve(rows)
+    for theta in (centre.theta, answer, answer * (1 + 1e-5)):
+        (length, step), (expected, other) = rows.newton(theta), whole.newton(theta)
+        assert length == pytest.approx(expected, rel=1e-9, abs=1e-14)
+        np.testing.assert_allclose(step, other, rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(rows.gradient(theta), whole.gradient(theta), rtol=1e-12, atol=1e-12)
+        assert rows.value(theta) == pytest.approx(whole.value(theta), rel=1e-12, abs=1e-12)
+        with monkeypatch.context() as without:
+            without.setattr(_proximal, "_COMPILES", False)
+            assert rows.newton(theta)[0] == pytest.approx(expected, rel=1e-9, abs=1e-14)
+            np.testing.assert_allclose(rows.newton(theta)[1], other, rtol=1e-9, atol=1e-13)
+        assert rows.newton_decrement(theta) == pytest.approx(whole.newton_decrement(theta), rel=1e-6, abs=1e-14)
+    assert apart(made.minimise(centre, x, u).theta, solve(whole)) < AGREES
+    if known is not None:
+        assert np.max(np.abs(known.M @ answer - known.b)) < 1e-12
+        # The control: it matters what is known.
+        assert kind == 1 or apart(ProximalEstimator(window, c, g).minimise(centre, x, u).theta, answer) > 1e-4
+
+
+def test_scipy_gives_the_same_answer():
+    """The fallback works on the problem as a whole, whatever the blocks."""
+    rng = np.random.default_rng(SEED)
+    known = LinearConstraints.shift(1, 3, 1, 2)
+    centre, x, u = case(rng, 3, 2, 4)
+    centre, made = known.nearest(centre), ProximalEstimator(4, LogCosh(0.1), constraints=known)
+    problem = made._problems(LogCosh(0.1), centre, x, u)[1][0]
+    theta, distance, _ = _descent.by_newton(problem, centre.theta)
+    other, also, _ = _descent._by_scipy(problem, centre.theta)
+    assert max(distance, also) < 1e-12
+    assert apart(theta, other) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("changes", "blocks"),
+    [
+        ({}, 2),
+        ({"constraints": LinearConstraints.entries([[np.nan, 1.0], [0.0, np.nan]], [[np.nan], [2.0]])}, 2),
+        ({"constraints": LinearConstraints([[1.0, 1.0, 0.0, 0.0, 0.0, 0.0]], [0.2])}, 1),
+    ],
+)
+def test_only_equalities_that_couple_rows_are_dense(changes, blocks):
+    rng = np.random.default_rng(SEED)
+    centre, x, u = case(rng, 2, 1, 3)
+    made = ProximalEstimator(3, LogCosh(), **changes)
+    centre = made.constraints.nearest(centre) if made.constraints else centre
+    problem = made._problems(made.loss, centre, x, u)[1][0]
+    assert problem.blocks == blocks
+    # A matrix of weights couples rows too: it shows when it is asked for its second derivatives.
+    coupled = ProximalEstimator(3, LogCosh(), WeightedSquares(spd(rng, 6)))
+    found = coupled.minimise(centre, x, u)
+    assert coupled.newton_decrement(found, centre, x, u) < 1e-13
+
+
+def test_certificates_of_large_models_are_quick():
+    """3200 parameters, 3200 residuals: as matrices of that many columns, minutes; the time is 5 ms on one core."""
+    rng = np.random.default_rng(SEED)
+    centre, x, u = case(rng, 40, 40, 80)
+    for weight in (1.0, rng.uniform(0.5, 2, 3200)):
+        made = ProximalEstimator(80, WeightedSquares(weight))
+        found = made.minimise(centre, x, u)
+        begin = time.perf_counter()
+        assert made.newton_decrement(found, centre, x, u) < 1e-12
+        assert time.perf_counter() - begin < 1
+        assert made.newton_decrement(centre, centre, x, u) > 0.1
+
+
 # Where it starts, and how much work it is
 
 
 def counted(function):
     calls = []
     own = CustomLoss(
-        lambda x: calls.append(1) or function.value(x),
-        function.gradient,
+        function.value,
+        lambda x: calls.append(1) or function.gradient(x),
         function.hessian,
         assumption_6=True,
         convex_in_second=True,
@@ -381,12 +494,12 @@ def test_fewer_steps_from_nearby():
     centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3)
     s, R = regression(x, u)
     c, calls = counted(LogCosh(0.5))
-    problem = Proximal(s, R, c, WeightedSquares(), centre.theta, np.eye(6))
-    answer = problem.solve()
+    problem = Proximal(s, R, c, WeightedSquares(), centre.theta)
+    answer = solve(problem)
     work = []
     for start in (answer * (1 + 1e-6), answer + 300.0):
         calls.clear()
-        found, distance, _ = problem._descend(start)
+        found, distance, _ = _descent.by_newton(problem, start)
         assert distance < 1e-12
         assert apart(found, answer) < 1e-11
         work.append(len(calls))
@@ -401,7 +514,7 @@ def test_data_that_fit_leave_the_centre_without_a_step():
     u = np.array([[-1.0]])
     x[0] = centre.step(x[1], u[0])
     assert np.array_equal(ProximalEstimator(1, c).minimise(centre, x, u).theta, centre.theta)
-    assert not calls
+    assert len(calls) <= 3  # for the certificate
 
 
 # Batches, steps, warnings, refusals
@@ -478,6 +591,33 @@ def test_assumptions_are_named_once(arguments, sentences):
         centre = SignalModel([[0.5]], [[1.0]])
         made.minimise(centre, np.ones((2, 1)), np.ones((1, 1)))
         assert len(caught) == len(sentences)
+
+
+@pytest.mark.parametrize("kind", [KeyError, ValueError, np.linalg.LinAlgError, ZeroDivisionError])
+@pytest.mark.parametrize("role", ["value", "gradient", "hessian"])
+@pytest.mark.parametrize("by_scipy", [False, True])
+def test_what_a_users_function_raises_is_no_failure_to_solve(kind, role, by_scipy, monkeypatch):
+    """Not even where it is of a kind that scipy and numpy raise for numbers that they cannot use."""
+    if by_scipy:
+        monkeypatch.setattr(_descent, "_STEPS", 0)
+    elif role == "value":
+        return  # Newton's method asks for slopes only
+    c, count = LogCosh(0.1), []
+
+    def fails(at):
+        def function(x):
+            count.append(1)
+            if len(count) > 3:
+                raise kind("mine")
+            return getattr(c, at)(x)
+
+        return function
+
+    functions = {at: fails(at) if at == role else getattr(c, at) for at in ("value", "gradient", "hessian")}
+    centre, x, u = case(np.random.default_rng(SEED), 2, 1, 3)
+    made = ProximalEstimator(3, CustomLoss(**functions, assumption_6=True))
+    with pytest.raises(kind, match="mine"):
+        made.minimise(centre, x, u)
 
 
 class Half:

@@ -9,7 +9,7 @@ import pytest
 from rhl.basis import Polynomials, Terms
 from rhl.closed_loop import closed_loop
 from rhl.constraints import LinearConstraints
-from rhl.controllability import ConstantMixing
+from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
@@ -18,6 +18,7 @@ from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.simulation import simulate
 
 NAN = np.nan
 
@@ -87,7 +88,14 @@ def test_frozen():
         ({"estimator": "squares"}, "estimator must be a ProximalEstimator, got 'squares'"),
         ({"controller": None}, "controller must be a Controller, got None"),
         ({"initial_model": np.eye(2)}, r"initial_model must be a SignalModel, got array\("),
-        ({"mixing": 0.5}, "mixing must be a ConstantMixing or a LambdaSearch, got 0.5"),
+        (
+            {"mixing": LambdaSearch},
+            "or an object with a function choose, got <class 'rhl.controllability.LambdaSearch'>",
+        ),
+        (
+            {"mixing": 0.5},
+            "mixing must be a ConstantMixing, a LambdaSearch, or an object with a function choose, got 0.5",
+        ),
         (
             {"estimator": ProximalEstimator(4, constraints=LinearConstraints.entries(np.eye(2), np.full((2, 2), NAN)))},
             r"the initial model must satisfy what is known \(M theta = b\), got a violation of 1; start from con",
@@ -141,6 +149,65 @@ def test_known_models_are_accepted():
 def test_controller_refused(changes, sentence):
     with pytest.raises(InputError, match=sentence):
         controller(**changes)
+
+
+# Mixing of the user's own
+
+
+class Own:
+    """Mixes by what a function of the two models returns."""
+
+    def __init__(self, rule):
+        self.rule = rule
+
+    def choose(self, estimate, previous, augment):
+        assert augment(estimate).n == 3
+        return self.rule(estimate, previous)
+
+
+PLANT = LinearPlant([[0.8, 0.3], [0.1, 0.9]], [[0.5], [1.0]], [[1.0, 0.5]])
+
+
+def test_own_mixing_runs():
+    run = [simulate(scheme(mixing=by), PLANT, [1.0, 1.0], 12).v for by in (Own(lambda *_: 0.25), ConstantMixing(0.25))]
+    np.testing.assert_allclose(*run, rtol=1e-9, atol=1e-12)
+    searched = scheme(mixing=Own(lambda *models: LambdaSearch("lifted").choose(*models, None)))
+    assert np.array_equal(replace(searched, controller=controller()).mixing.choose(MODEL, MODEL, AUGMENT), 0)
+    # A rule that looks at the models: how far the estimate has moved.
+    far = Own(lambda a, b: 0.9 * np.minimum(1, np.linalg.norm(a.A - b.A, axis=(-1, -2))))
+    trace = simulate(scheme(mixing=far), PLANT, np.ones((3, 2)), 12, record="models")
+    assert trace.lam.shape == (12, 3)
+    assert 0 < np.max(trace.lam) <= 0.9
+
+
+MODEL = SignalModel.companion_of_ones(2, 2, "eye-last-row-of-ones")
+AUGMENT = DelayLifting(2, 2).augment
+
+
+@pytest.mark.parametrize(
+    ("found", "sentence"),
+    [
+        (1.0, r"^Own.choose must return a lambda in \[0, 1\) for each member of the batch, shape \(1,\), got 1$"),
+        (-0.1, r"in \[0, 1\) for .* got -0.1$"),
+        (NAN, r"in \[0, 1\) for .* got nan$"),
+        ([0.1, 0.2, 0.3], r"shape \(1,\), got shape \(3,\)$"),
+        ("half", "got 'half'$"),
+        (None, "got None$"),
+        (0.5j, "got 0.5j$"),
+    ],
+)
+def test_own_mixing_refused(found, sentence):
+    with pytest.raises(InputError, match=sentence):
+        simulate(scheme(mixing=Own(lambda *_: found)), PLANT, [1.0, 1.0], 3)
+
+
+def test_what_an_own_mixing_raises_comes_through():
+    def fails(*_):
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine") as caught:
+        simulate(scheme(mixing=Own(fails)), PLANT, [1.0, 1.0], 3)
+    assert caught.value.__notes__ == ["the function 'choose' of Own raised this"]
 
 
 # The default

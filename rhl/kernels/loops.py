@@ -191,6 +191,44 @@ def fit(x: Array, u: Array, centre: Array, trust: Array, hold: Array, fitted: Ar
                     fitted[group + t, i, l] = centre[group + t, i, l] + triangle[i, d + t, l]
 
 
+@compiled
+def newton_step(R: Array, root: Array, target: Array, straight: Array, hold: Array, back: Array, found: Array) -> None:
+    """Solve (hold^2 + R' root^2 R) found = hold back + R' (root target + straight), lane by lane, by rotations.
+
+    R is (m, d) for all lanes; ``root``, ``target`` and ``straight`` are (m, lanes), ``hold``, ``back`` and ``found``
+    (d, lanes); root and hold stand for diagonal matrices.
+    """
+    m, d, lanes = R.shape[0], R.shape[1], root.shape[1]
+    triangle, rows, pull = np.zeros((d, d + 1, lanes)), np.empty((m, d + 1, lanes)), np.empty((d, lanes))
+    for i in range(d):
+        for l in range(lanes):
+            triangle[i, i, l] = hold[i, l]
+            triangle[i, d, l] = back[i, l]
+    for j in range(m):
+        for i in range(d):
+            for l in range(lanes):
+                rows[j, i, l] = root[j, l] * R[j, i]
+        for l in range(lanes):
+            rows[j, d, l] = target[j, l]
+    rotate(triangle, rows, d)
+    for i in range(d):
+        for l in range(lanes):
+            pull[i, l] = 0.0
+        for j in range(m):
+            for l in range(lanes):
+                pull[i, l] += R[j, i] * straight[j, l]
+        for k in range(i):
+            for l in range(lanes):
+                pull[i, l] -= triangle[k, i, l] * pull[k, l]
+        for l in range(lanes):
+            pull[i, l] /= triangle[i, i, l]
+            triangle[i, d, l] += pull[i, l]
+    back_substitute(triangle, d)
+    for i in range(d):
+        for l in range(lanes):
+            found[i, l] = triangle[i, d, l]
+
+
 @inlined
 def augment(theta: Array, M: Array, q: int) -> None:
     """Write Remark 4's pair of theta = [A B], (n, n + m, lanes), into M = [B A], (n', q + n', lanes), which is zero."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,7 @@ from rhl.paper.claims.lyapunov_terms import follow
 from rhl.paper.claims.predictors import commutation_gaps, half_blind, powers, predict, prediction_errors, rational
 from rhl.paper.claims.rotating_models import turning
 
-_PAGE = "notebooks/04-assumption-4.ipynb"
-_TEST = "tests/paper/claims/test_assumption_4.py"
+_claim = partial(Claim, page="notebooks/04-assumption-4.ipynb", test="tests/paper/claims/test_assumption_4.py")
 
 # Errors of predictions over a horizon, relative to the initial state, when the predictor is right: rounding.
 _RIGHT = 1e-9
@@ -312,10 +312,6 @@ def check_planned(effort: Effort, right: bool = False) -> Evidence:
     return Evidence(len(x0), violation, _RIGHT, "rounding of two steps")
 
 
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
-
-
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "assumption-2",
@@ -332,8 +328,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Assumption 4(a)",
         "ass0",
         "The predictor maps are linear and converge.",
-        method="none",
-        recorded="not-checkable",
         reason="A hypothesis. Its linear form is checked by eq-5; that convergence is more than the proofs use, by "
         "lemma-2.differences.",
     ),
@@ -355,8 +349,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Equation 6",
         "p2",
         "The maps A_i(k), B_i(k) have limits.",
-        method="none",
-        recorded="not-checkable",
         reason="A hypothesis, and a limit without a rate. Whether the estimator delivers it is theorem-2.i; what the "
         "proof of Lemma 2 needs in its place, lemma-2.differences.",
     ),

@@ -6,7 +6,7 @@ import math
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -92,6 +92,9 @@ class Control:
 class Claim:
     """One statement of the paper with everything that belongs to it.
 
+    What says nothing of a method or a verdict cannot be checked. A module of claims fills in page and test once, with
+    ``functools.partial``.
+
     Attributes
     ----------
     id : str
@@ -105,7 +108,8 @@ class Claim:
     method : Method
         How it is checked.
     recorded : Verdict
-        What came out when the claim was entered; ``rhl verify`` fails if something else comes out.
+        What came out when the claim was entered; ``rhl verify`` fails if something else comes out. "observed": a check
+        that passes is no proof.
     page : str
         The page of the book, from its root, such as "notebooks/10-lemma-5.ipynb".
     test : str
@@ -118,23 +122,20 @@ class Claim:
         Required wherever there is a check.
     reason : str
         What is wrong and what is right, or why it cannot be checked; empty where the claim simply holds.
-    by_observation : bool
-        True where passing the check makes the claim observed, not proved.
     """
 
     id: str
     item: str
     label: str
     statement: str
-    method: Method
-    recorded: Verdict
-    page: str
-    test: str
+    method: Method = "none"
+    recorded: Verdict = "not-checkable"
+    page: str = field(kw_only=True)
+    test: str = field(kw_only=True)
     stated: Check | None = None
     corrected: Check | None = None
     control: Control | None = None
     reason: str = ""
-    by_observation: bool = False
 
     def __post_init__(self) -> None:
         checkable = self.recorded != "not-checkable"
@@ -142,8 +143,6 @@ class Claim:
             raise InputError(f"claim {self.id} must have a check and a control, or neither and be not-checkable")
         if (self.recorded in ("holds-corrected", "refuted", "not-checkable")) != bool(self.reason):
             raise InputError(f"claim {self.id} must give a reason just where it is corrected, refuted or not checkable")
-        if (self.recorded == "observed") != self.by_observation:
-            raise InputError(f"claim {self.id} must be recorded as observed just where it is by observation")
         if (self.recorded == "holds-corrected") != (self.corrected is not None):
             raise InputError(
                 f"claim {self.id} must have a corrected check just where it is recorded as holds-corrected"
@@ -195,7 +194,7 @@ def judge(claim: Claim, effort: Effort) -> Judgement:
     if claim.stated is None or claim.control is None:
         return Judgement(claim, "not-checkable", None, None, 0.0)
     evidence = claim.stated(effort)
-    verdict: Verdict = "observed" if claim.by_observation else "holds"
+    verdict: Verdict = "observed" if claim.recorded == "observed" else "holds"
     if not evidence.passes:
         verdict = "refuted"
         if claim.corrected is not None:

@@ -8,36 +8,19 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.estimator import ProximalEstimator
-from rhl.lifting import DelayLifting
+from rhl.lifting import DelayLifting, remember
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
-from rhl.paper.claims.claim import Check, Claim, Control, Effort, Evidence, Method, Verdict, worst_of
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.estimation import draw_model, regressor_matrix, stacked_signals
 from rhl.paper.published import linear_example, robot_arm
 from rhl.simulation import simulate
 
-PAGE = "notebooks/11-theorem-2.ipynb"
-TEST = "tests/paper/claims/test_theorem_2.py"
+claim = partial(Claim, page="notebooks/11-theorem-2.ipynb", test="tests/paper/claims/test_theorem_2.py")
 
 # Data of size one to a hundred through one or two factorisations.
 ROUNDING = 1e-10
 WHY = "signals of size one to a hundred, one least-squares solution"
-
-
-def claim(
-    id: str,
-    item: str,
-    label: str,
-    statement: str,
-    method: Method,
-    recorded: Verdict,
-    stated: Check,
-    broken: tuple[str, Check],
-    corrected: Check | None = None,
-    reason: str = "",
-) -> Claim:
-    """Return a claim that belongs to the page on Theorem 2; ``broken`` is what its control breaks, and how."""
-    return Claim(id, item, label, statement, method, recorded, PAGE, TEST, stated, corrected, Control(*broken), reason)
 
 
 def check_estimator(effort: Effort, weight: float = 1.0) -> Evidence:
@@ -53,9 +36,9 @@ def check_estimator(effort: Effort, weight: float = 1.0) -> Evidence:
     trace, found = simulate(example.scheme, example.plant, example.z0, 25), []
     depth = example.scheme.estimator.window
     for done in trace.steps:
-        x = example.scheme.lifting.window(done.memory.y, 4, depth + 1)
-        u = example.scheme.lifting.window(done.memory.v, 4, depth)
-        s, R, centre = stacked_signals(x), regressor_matrix(x, u), done.memory.model.theta
+        x = example.scheme.lifting.window(remember(done.state.y, done.y), 4, depth + 1)
+        u = example.scheme.lifting.window(done.state.v, 4, depth)
+        s, R, centre = stacked_signals(x), regressor_matrix(x, u), done.state.model.theta
         pull = 2 * R.T @ (s - R @ done.estimate.theta) - 2 * weight * (done.estimate.theta - centre)
         mixed = (1 - done.lam) * done.estimate.theta + done.lam * centre
         scale = 1 + float(np.linalg.norm(R)) ** 2 * (1 + float(np.linalg.norm(done.estimate.theta)))
@@ -195,15 +178,11 @@ def check_signal_model(effort: Effort, transposed: bool = False) -> Evidence:
 
 
 CLAIMS: tuple[Claim, ...] = (
-    Claim(
+    claim(
         "eq-13",
         "Equation 13",
         "signals",
         "The record: a sequence of outputs and one of inputs.",
-        "none",
-        "not-checkable",
-        PAGE,
-        TEST,
         reason="a definition: it names two sequences and says nothing about them",
     ),
     claim(
@@ -214,8 +193,8 @@ CLAIMS: tuple[Claim, ...] = (
         "before k = 0.",
         "numerical sampling",
         "holds",
-        check_lifting,
-        ("the stack of one step before", partial(check_lifting, start=1)),
+        stated=check_lifting,
+        control=Control("the stack of one step before", partial(check_lifting, start=1)),
     ),
     claim(
         "text-lifting-example",
@@ -224,10 +203,10 @@ CLAIMS: tuple[Claim, ...] = (
         "The lifting given as an example after (14), two outputs at two instants and three products, has 7 entries.",
         "exact arithmetic",
         "holds-corrected",
-        partial(check_lifting_example, entries=6),
-        ("the printed size, 6", partial(check_lifting_example, entries=6)),
-        check_lifting_example,
-        "The text says that the lifted signal of its example has size 6; the vector it prints has 7 entries.",
+        stated=partial(check_lifting_example, entries=6),
+        control=Control("the printed size, 6", partial(check_lifting_example, entries=6)),
+        corrected=check_lifting_example,
+        reason="The text says that the lifted signal of its example has size 6; the vector it prints has 7 entries.",
     ),
     claim(
         "eq-15",
@@ -237,8 +216,8 @@ CLAIMS: tuple[Claim, ...] = (
         "every step of the library's closed loop.",
         "numerical sampling",
         "holds",
-        check_estimator,
-        ("another weight of the proximal term", partial(check_estimator, weight=2.0)),
+        stated=check_estimator,
+        control=Control("another weight of the proximal term", partial(check_estimator, weight=2.0)),
     ),
     claim(
         "text-domain-of-g",
@@ -247,11 +226,11 @@ CLAIMS: tuple[Claim, ...] = (
         "The generator g is a function of the parameter, so its domain has n(n+q) dimensions.",
         "exact arithmetic",
         "holds-corrected",
-        partial(check_generator_domain, printed=True),
-        ("the printed size, n times the window", partial(check_generator_domain, printed=True)),
-        check_generator_domain,
-        "After (15) the domain of g is printed with n times the window as its dimension, which is that of the loss c. "
-        "In the linear example both are 32, in the robot arm's scheme they are 60 and 48.",
+        stated=partial(check_generator_domain, printed=True),
+        control=Control("the printed size, n times the window", partial(check_generator_domain, printed=True)),
+        corrected=check_generator_domain,
+        reason="After (15) the domain of g is printed with n times the window as its dimension, which is that of the "
+        "loss c. In the linear example both are 32, in the robot arm's scheme they are 60 and 48.",
     ),
     claim(
         "eq-16",
@@ -260,8 +239,8 @@ CLAIMS: tuple[Claim, ...] = (
         "s(k) stacks the signals of the window, newest first.",
         "numerical sampling",
         "holds",
-        partial(check_stacks, what="eq-16"),
-        ("the oldest first", partial(check_stacks, what="eq-16", wrong=True)),
+        stated=partial(check_stacks, what="eq-16"),
+        control=Control("the oldest first", partial(check_stacks, what="eq-16", wrong=True)),
     ),
     claim(
         "eq-17",
@@ -270,8 +249,8 @@ CLAIMS: tuple[Claim, ...] = (
         "R(k) theta lists A x(j-1) + B u(j-1) over the window, theta being [A B] column by column (Remark 2(a)).",
         "numerical sampling",
         "holds",
-        partial(check_stacks, what="eq-17"),
-        ("theta stacked row by row", partial(check_stacks, what="eq-17", wrong=True)),
+        stated=partial(check_stacks, what="eq-17"),
+        control=Control("theta stacked row by row", partial(check_stacks, what="eq-17", wrong=True)),
     ),
     claim(
         "eq-18",
@@ -280,8 +259,8 @@ CLAIMS: tuple[Claim, ...] = (
         "The signal model takes x(k), u(k) to A x(k) + B u(k); so does the library's.",
         "exact arithmetic",
         "holds",
-        check_signal_model,
-        ("A transposed", partial(check_signal_model, transposed=True)),
+        stated=check_signal_model,
+        control=Control("A transposed", partial(check_signal_model, transposed=True)),
     ),
     claim(
         "remark-2",
@@ -291,8 +270,8 @@ CLAIMS: tuple[Claim, ...] = (
         "does, is the same.",
         "numerical sampling",
         "holds",
-        check_least_squares,
-        ("another weight of the proximal term", partial(check_least_squares, weight=2.0)),
+        stated=check_least_squares,
+        control=Control("another weight of the proximal term", partial(check_least_squares, weight=2.0)),
     ),
     claim(
         "remark-3",
@@ -302,8 +281,8 @@ CLAIMS: tuple[Claim, ...] = (
         "linear model in (z1, z2, z2^2).",
         "symbolic identity",
         "holds",
-        check_carleman,
-        ("a cube in place of the square", partial(check_carleman, power=3)),
+        stated=check_carleman,
+        control=Control("a cube in place of the square", partial(check_carleman, power=3)),
     ),
     claim(
         "eq-21",
@@ -312,7 +291,7 @@ CLAIMS: tuple[Claim, ...] = (
         "The powers A^i, A^i B of one model are predictor maps (5): they repeat its steps, and commute as (7) asks.",
         "exact arithmetic",
         "holds",
-        check_powers,
-        ("B_i = A^(i+1) B", partial(check_powers, slip=1)),
+        stated=check_powers,
+        control=Control("B_i = A^(i+1) B", partial(check_powers, slip=1)),
     ),
 )

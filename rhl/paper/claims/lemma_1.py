@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,7 @@ from rhl.horizon import V1, V2, V3, Plan, Problem, solve
 from rhl.model import PredictorMaps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 
-_PAGE = "notebooks/05-lemma-1.ipynb"
-_TEST = "tests/paper/claims/test_lemma_1.py"
+_claim = partial(Claim, page="notebooks/05-lemma-1.ipynb", test="tests/paper/claims/test_lemma_1.py")
 
 # Entries of order one; the maps' terminal rank is kept away from a loss by a factor of a hundred.
 _ROUNDING = 1e-9
@@ -369,10 +369,6 @@ def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence
     return Evidence(len(worst), worst_of(worst), 1e-12, "rounding, relative to the terms that cancel")
 
 
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
-
-
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "lemma-1.a",
@@ -419,8 +415,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Assumption 5",
         "new",
         "The gains of the solutions of V3 and of V1 along the closed loop stay below one bound.",
-        method="none",
-        recorded="not-checkable",
         reason="A hypothesis about a whole infinite run; what implies part (a) is checked by assumption-5.bound.",
     ),
     _claim(

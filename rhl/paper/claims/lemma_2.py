@@ -28,8 +28,13 @@ from rhl.paper.claims.lyapunov_terms import (
 )
 from rhl.paper.claims.rotating_models import PLANE, losing, turning
 
-_PAGE = "notebooks/06-lemma-2.ipynb"
-_TEST = "tests/paper/claims/test_lemma_2.py"
+_claim = partial(
+    Claim,
+    method="numerical sampling",
+    recorded="holds",
+    page="notebooks/06-lemma-2.ipynb",
+    test="tests/paper/claims/test_lemma_2.py",
+)
 
 _STEPS = 40
 # Relative to the values of V3 at the same step; gains of up to a few hundred magnify rounding that much.
@@ -185,11 +190,6 @@ def check_second_step(effort: Effort, growth: float = PLANE) -> Evidence:
     still = 0.1 - float(np.min(np.max(two_steps[:, 20:], axis=1)))
     violation = max(float(np.max(one_step)), still, float(np.max(at_the_end(setting))) - 0.1)
     return Evidence(len(x0), violation, 1e-9, "rounding of one step")
-
-
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    rest = {"method": "numerical sampling", "recorded": "holds", **rest}
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
 
 
 def _step(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from rhl.model import PredictorMaps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lemma_1 import random_maps, random_weight
 
-_PAGE = "notebooks/07-lemma-3.ipynb"
-_TEST = "tests/paper/claims/test_lemma_3.py"
+_claim = partial(Claim, page="notebooks/07-lemma-3.ipynb", test="tests/paper/claims/test_lemma_3.py")
 _ROUNDING = 1e-9
 
 
@@ -140,10 +139,6 @@ def sharpness(effort: Effort) -> float:
     rng = effort.rng("lemma-3.sharp")
     cases = [draw(rng) for _ in range(effort.cases)]
     return max(ratio(*case, epsilon, 1.0)[0] for case in cases for epsilon in 10.0 ** np.linspace(-3, 3, 13))
-
-
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
 
 
 CLAIMS: tuple[Claim, ...] = (

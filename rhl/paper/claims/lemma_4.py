@@ -13,7 +13,7 @@ from rhl._checks import Array
 from rhl.estimator import ProximalEstimator
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
-from rhl.paper.claims.claim import Check, Claim, Control, Effort, Evidence, Method, Verdict, worst_of
+from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.convexity import ROUNDING, WHY, check_assumption_6, check_convexity, check_only_quadratics
 from rhl.paper.claims.proximal import (
     SHAPES,
@@ -42,8 +42,7 @@ from rhl.paper.claims.proximal import (
     turn_identity,
 )
 
-_PAGE = "notebooks/09-lemma-4.ipynb"
-_TEST = "tests/paper/claims/test_lemma_4.py"
+_claim = partial(Claim, page="notebooks/09-lemma-4.ipynb", test="tests/paper/claims/test_lemma_4.py")
 
 # The control of a claim about a limit must be clearly elsewhere, and what converges must have come this close.
 _ARRIVED = 1e-6
@@ -223,23 +222,6 @@ def check_three_point(effort: Effort, printed: bool = False) -> Evidence:
     return Evidence(along.cases, 1.0)
 
 
-def _claim(
-    id: str,
-    item: str,
-    label: str,
-    statement: str,
-    method: Method,
-    recorded: Verdict,
-    stated: Check,
-    broken: tuple[str, Check],
-    corrected: Check | None = None,
-    reason: str = "",
-) -> Claim:
-    return Claim(
-        id, item, label, statement, method, recorded, _PAGE, _TEST, stated, corrected, Control(*broken), reason
-    )
-
-
 _LEMMA = ("Lemma 4", "timevaryingmin")
 _INCONSISTENT = "minimisers that differ from step to step"
 
@@ -251,8 +233,8 @@ CLAIMS: tuple[Claim, ...] = (
         "them.",
         "simulation",
         "refuted",
-        check_convergence,
-        (_INCONSISTENT, partial(check_convergence, consistent=False)),
+        stated=check_convergence,
+        control=Control(_INCONSISTENT, partial(check_convergence, consistent=False)),
         reason="The proof goes from 'the steps tend to zero' to 'the sequence converges', and from there to 'the "
         "limit is in X'; both can fail: for f = 2^-k x^2 the limit is outside X (lemma-4.limit-outside), for "
         "f = (d_k'x)^2 with nearly tangential d_k there is none (lemma-4.no-limit). What does hold: lemma-4.weak; with "
@@ -265,8 +247,8 @@ CLAIMS: tuple[Claim, ...] = (
         "zero is the only common minimiser: functions may fade too fast.",
         "exact arithmetic",
         "holds",
-        check_limit_outside,
-        ("f(x,k) = x^2, which does not fade", partial(check_limit_outside, ratio=Fraction(1))),
+        stated=check_limit_outside,
+        control=Control("f(x,k) = x^2, which does not fade", partial(check_limit_outside, ratio=Fraction(1))),
     ),
     _claim(
         "lemma-4.no-limit",
@@ -275,8 +257,8 @@ CLAIMS: tuple[Claim, ...] = (
         "above 0.66, and the iterates turn around zero, the only common minimiser, for ever.",
         "symbolic identity",
         "holds",
-        check_no_limit,
-        ("d_k'x_k = k^(-3/2) |x_k| / 2, which can be summed", partial(check_no_limit, exponent=1.5)),
+        stated=check_no_limit,
+        control=Control("d_k'x_k = k^(-3/2) |x_k| / 2, which can be summed", partial(check_no_limit, exponent=1.5)),
     ),
     _claim(
         "lemma-4.weak",
@@ -285,8 +267,8 @@ CLAIMS: tuple[Claim, ...] = (
         "together at most D(x*, x~_0)/(1 - lambda_max): the iterates stay bounded, steps and residuals tend to zero.",
         "numerical sampling",
         "holds",
-        _along("lemma-4.weak", sum_excess),
-        (_INCONSISTENT, _along("lemma-4.weak", sum_excess, consistent=False)),
+        stated=_along("lemma-4.weak", sum_excess),
+        control=Control(_INCONSISTENT, _along("lemma-4.weak", sum_excess, consistent=False)),
     ),
     _claim(
         "lemma-4.summable",
@@ -296,8 +278,8 @@ CLAIMS: tuple[Claim, ...] = (
         "though not always into X.",
         "numerical sampling",
         "holds",
-        check_path,
-        ("Lipschitz constants that do not decay", partial(check_path, rate=0.0)),
+        stated=check_path,
+        control=Control("Lipschitz constants that do not decay", partial(check_path, rate=0.0)),
     ),
     _claim(
         "lemma-4.interior",
@@ -306,8 +288,8 @@ CLAIMS: tuple[Claim, ...] = (
         "and the iterates converge, though not always into X.",
         "numerical sampling",
         "holds",
-        check_interior,
-        ("an X without interior (the spiral) and r = 1/2", partial(check_interior, radius=0.5)),
+        stated=check_interior,
+        control=Control("an X without interior (the spiral) and r = 1/2", partial(check_interior, radius=0.5)),
     ),
     _claim(
         "lemma-4.recurrent",
@@ -316,8 +298,8 @@ CLAIMS: tuple[Claim, ...] = (
         "the iterates converge to a point of X.",
         "numerical sampling",
         "holds",
-        check_recurrent,
-        ("one function that is never met again", partial(check_recurrent, forgotten=True)),
+        stated=check_recurrent,
+        control=Control("one function that is never met again", partial(check_recurrent, forgotten=True)),
     ),
     _claim(
         "assumption-6",
@@ -327,8 +309,10 @@ CLAIMS: tuple[Claim, ...] = (
         "library's weighted squares are.",
         "numerical sampling",
         "holds",
-        check_assumption_6,
-        ("the sum of absolute values as loss", partial(check_assumption_6, value=lambda e: np.abs(e).sum(axis=-1))),
+        stated=check_assumption_6,
+        control=Control(
+            "the sum of absolute values as loss", partial(check_assumption_6, value=lambda e: np.abs(e).sum(axis=-1))
+        ),
     ),
     _claim(
         "eq-19",
@@ -338,8 +322,8 @@ CLAIMS: tuple[Claim, ...] = (
         "all data is one, however little the data excite.",
         "numerical sampling",
         "holds",
-        check_common_minimiser,
-        ("noise in the data", partial(check_common_minimiser, noise=0.01)),
+        stated=check_common_minimiser,
+        control=Control("noise in the data", partial(check_common_minimiser, noise=0.01)),
     ),
     _claim(
         "eq-20",
@@ -349,8 +333,8 @@ CLAIMS: tuple[Claim, ...] = (
         "row by row, is the quadratic case.",
         "numerical sampling",
         "holds",
-        check_iteration,
-        ("another weight on the proximal term", partial(check_iteration, library=2.0)),
+        stated=check_iteration,
+        control=Control("another weight on the proximal term", partial(check_iteration, library=2.0)),
     ),
     _claim(
         "eq-41",
@@ -359,8 +343,10 @@ CLAIMS: tuple[Claim, ...] = (
         "At the minimiser x*_{k+1} the gradient of f is minus that of D(., x~_k).",
         "numerical sampling",
         "holds",
-        _along("eq-41", optimality_gap),
-        ("the mixed iterate instead of the minimiser", _along("eq-41", partial(optimality_gap, mixed=True))),
+        stated=_along("eq-41", optimality_gap),
+        control=Control(
+            "the mixed iterate instead of the minimiser", _along("eq-41", partial(optimality_gap, mixed=True))
+        ),
     ),
     _claim(
         "eq-42",
@@ -369,8 +355,8 @@ CLAIMS: tuple[Claim, ...] = (
         "A convex f lies above its tangent at x*_{k+1}.",
         "numerical sampling",
         "holds",
-        _along("eq-42", tangent_excess),
-        ("-f, which is concave", _along("eq-42", lambda run, target: -tangent_excess(run, target))),
+        stated=_along("eq-42", tangent_excess),
+        control=Control("-f, which is concave", _along("eq-42", lambda run, target: -tangent_excess(run, target))),
     ),
     _claim(
         "eq-43",
@@ -379,8 +365,8 @@ CLAIMS: tuple[Claim, ...] = (
         "At a common minimiser, the tangent's slope in (42) may be replaced by the gradient of D.",
         "numerical sampling",
         "holds",
-        _along("eq-43", pull_excess),
-        ("the minimiser of another function", _along("eq-43", _pull_of_another)),
+        stated=_along("eq-43", pull_excess),
+        control=Control("the minimiser of another function", _along("eq-43", _pull_of_another)),
     ),
     _claim(
         "eq-44",
@@ -389,11 +375,11 @@ CLAIMS: tuple[Claim, ...] = (
         "The right side of (43) is D(x*, x*_{k+1}) + D(x*_{k+1}, x~_k) - D(x*, x~_k), for every generator.",
         "symbolic identity",
         "holds-corrected",
-        partial(check_three_point, printed=True),
-        ("the gradient at x*_k, as printed, while mixing", partial(check_three_point, printed=True)),
-        check_three_point,
-        "As printed the gradient of g is taken at x*_k; it belongs to the proximal centre x~_k, as in (41). The two "
-        "are the same only without mixing (lambda_k = 0).",
+        stated=partial(check_three_point, printed=True),
+        control=Control("the gradient at x*_k, as printed, while mixing", partial(check_three_point, printed=True)),
+        corrected=check_three_point,
+        reason="As printed the gradient of g is taken at x*_k; it belongs to the proximal centre x~_k, as in (41). The "
+        "two are the same only without mixing (lambda_k = 0).",
     ),
     _claim(
         "eq-45",
@@ -403,8 +389,8 @@ CLAIMS: tuple[Claim, ...] = (
         "the residual.",
         "numerical sampling",
         "holds",
-        _along("eq-45", mixing_excess),
-        ("the sum of cosh x as generator", _along("eq-45", mixing_excess, generator=Cosh())),
+        stated=_along("eq-45", mixing_excess),
+        control=Control("the sum of cosh x as generator", _along("eq-45", mixing_excess, generator=Cosh())),
     ),
     _claim(
         "eq-46",
@@ -414,8 +400,8 @@ CLAIMS: tuple[Claim, ...] = (
         "least.",
         "numerical sampling",
         "holds",
-        _along("eq-46", decrease_excess),
-        (_INCONSISTENT, _along("eq-46", decrease_excess, consistent=False)),
+        stated=_along("eq-46", decrease_excess),
+        control=Control(_INCONSISTENT, _along("eq-46", decrease_excess, consistent=False)),
     ),
     _claim(
         "bregman-convexity-quadratic",
@@ -423,8 +409,8 @@ CLAIMS: tuple[Claim, ...] = (
         "For weighted squares D is convex in its second argument.",
         "numerical sampling",
         "holds",
-        partial(check_convexity, g=Squares(np.array([0.3, 1.0, 5.0]))),
-        ("the sum of cosh x as generator", partial(check_convexity, g=Cosh())),
+        stated=partial(check_convexity, g=Squares(np.array([0.3, 1.0, 5.0]))),
+        control=Control("the sum of cosh x as generator", partial(check_convexity, g=Cosh())),
     ),
     _claim(
         "bregman-convexity-kl",
@@ -432,8 +418,8 @@ CLAIMS: tuple[Claim, ...] = (
         "For the entropy, on positive vectors, D (Kullback-Leibler) is convex in its second argument.",
         "numerical sampling",
         "holds",
-        partial(check_convexity, g=Entropy()),
-        ("the sum of cosh x as generator", partial(check_convexity, g=Cosh())),
+        stated=partial(check_convexity, g=Entropy()),
+        control=Control("the sum of cosh x as generator", partial(check_convexity, g=Cosh())),
     ),
     _claim(
         "bregman-convexity-whole-space",
@@ -442,7 +428,9 @@ CLAIMS: tuple[Claim, ...] = (
         "argument: any other strictly convex g has a pair of points where D(x, .) is concave.",
         "symbolic identity",
         "holds",
-        check_only_quadratics,
-        ("the entropy, which lives on positive vectors only", partial(check_only_quadratics, positive=True)),
+        stated=check_only_quadratics,
+        control=Control(
+            "the entropy, which lives on positive vectors only", partial(check_only_quadratics, positive=True)
+        ),
     ),
 )

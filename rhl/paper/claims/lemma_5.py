@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,7 @@ from rhl.paper.claims.claim import Claim, Control, Effort, Evidence
 if TYPE_CHECKING:
     import sympy as sp
 
-_PAGE = "notebooks/10-lemma-5.ipynb"
-_TEST = "tests/paper/claims/test_lemma_5.py"
+_claim = partial(Claim, page="notebooks/10-lemma-5.ipynb", test="tests/paper/claims/test_lemma_5.py")
 
 Integers = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 Pair = tuple[Integers, Integers]
@@ -325,10 +325,6 @@ def check_affine(effort: Effort, power: int = 1) -> Evidence:
         other = lifting.augment(first).mix(lifting.augment(second), 0.25)
         gaps.append(float(max(np.max(np.abs(one.A - other.A)), np.max(np.abs(one.B - other.B)))))
     return Evidence(len(gaps), max(gaps), 0.0, "quarters of small integers are exact")
-
-
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
 
 
 CLAIMS: tuple[Claim, ...] = (

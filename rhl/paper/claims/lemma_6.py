@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from rhl.plants.analysis import (
     spectral_radius,
 )
 
-_PAGE = "notebooks/12-lemma-6.ipynb"
-_TEST = "tests/paper/claims/test_lemma_6.py"
+_claim = partial(Claim, page="notebooks/12-lemma-6.ipynb", test="tests/paper/claims/test_lemma_6.py")
 
 # Data of unit size pass through O and its pseudo-inverse, whose condition the construction keeps below 1e4.
 _DATA = 1e-9
@@ -280,10 +279,6 @@ def check_augmented(effort: Effort, depth: int = 0) -> Evidence:
             x, X = model.A @ x + model.B @ u, augmented.A @ X + augmented.B @ row
             gaps.append(float(np.max(np.abs(x - X[: m * p])) / (1 + np.max(np.abs(x)))))
     return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of ten steps")
-
-
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
 
 
 _ZERO_HISTORY = (

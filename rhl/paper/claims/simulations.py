@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from typing import Any
+from functools import cache, partial
 
 import numpy as np
 
@@ -16,8 +15,8 @@ from rhl.plants import Plant
 from rhl.simulation import simulate
 from rhl.trace import Trace
 
-_PAGE = "notebooks/03-text-against-data.ipynb"
-_TEST = "tests/paper/claims/test_simulations.py"
+_claim = partial(Claim, page="notebooks/03-text-against-data.ipynb", test="tests/paper/claims/test_simulations.py")
+
 _CURVE = 1e-9
 
 
@@ -157,10 +156,6 @@ class _Deaf:
         return self.heard.output(z)
 
 
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
-
-
 def _figure(number: int, label: str, statement: str, check: Callable[[Effort, bool], Evidence], reason: str) -> Claim:
     return _claim(
         f"figure-{number}",
@@ -243,7 +238,6 @@ CLAIMS: tuple[Claim, ...] = (
         "The linear example's state goes to zero.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=lambda effort: check_settled(effort, "linear"),
         control=Control("the input cut off", lambda effort: check_settled(effort, "linear", deaf=True)),
     ),
@@ -254,7 +248,6 @@ CLAIMS: tuple[Claim, ...] = (
         "The robot arm's state goes to zero.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=lambda effort: check_settled(effort, "robot"),
         control=Control("the input cut off", lambda effort: check_settled(effort, "robot", deaf=True)),
     ),
@@ -263,8 +256,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Figure 1",
         "eq:overall_scheme",
         "The overall scheme as a block diagram.",
-        method="none",
-        recorded="not-checkable",
         reason="A drawing; the book draws it anew and the library runs it.",
     ),
     _figure(
@@ -279,8 +270,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Figure 3",
         "subfig2",
         "The estimates of the linear example.",
-        method="none",
-        recorded="not-checkable",
         reason="Its data are missing from the paper's source.",
     ),
     _figure(

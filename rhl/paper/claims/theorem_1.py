@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lemma_1 import random_maps, random_weight
 
-_PAGE = "notebooks/08-theorem-1.ipynb"
-_TEST = "tests/paper/claims/test_theorem_1.py"
+_claim = partial(Claim, page="notebooks/08-theorem-1.ipynb", test="tests/paper/claims/test_theorem_1.py")
 _STEPS = 600
 # The weight that holds an unstable mode fixes |x|^2 / eps; over the run eps falls to a millionth.
 _SETTLED = 1e-2
@@ -263,29 +262,22 @@ def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (
     return Evidence(effort.cases, float(np.max(gap)), 0.05, "epsilon still falls by a part in k at every step")
 
 
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
-
-
-def _given(id: str, item: str, label: str, statement: str, reason: str) -> Claim:
-    return _claim(id, item, label, statement, method="none", recorded="not-checkable", reason=reason)
-
-
 CLAIMS: tuple[Claim, ...] = (
-    _given("eq-2", "Equation 2", "sysmpc", "The system x+ = Ax + Bu.", "A definition."),
-    _given(
+    _claim("eq-2", "Equation 2", "sysmpc", "The system x+ = Ax + Bu.", reason="A definition."),
+    _claim(
         "eq-4",
         "Equation 4",
         "",
         "The receding horizon policy applies the first input of the plan.",
-        "A definition; the library's loop follows it.",
+        reason="A definition; the library's loop follows it.",
     ),
-    _given(
+    _claim(
         "assumption-3",
         "Assumption 3",
         "ass1a",
         "N >= n; Q, R, Q_N and Gamma are positive definite.",
-        "A hypothesis; the library refuses weights that are not definite. With Remark 4, n is the augmented state's.",
+        reason="A hypothesis; the library refuses weights that are not definite. With Remark 4, n is the augmented "
+        "state's.",
     ),
     _claim(
         "theorem-1",
@@ -294,7 +286,6 @@ CLAIMS: tuple[Claim, ...] = (
         "With V1, Gamma = alpha x'x and eps(k) -> 0, a stabilizable system that is its own predictor comes to rest.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=lambda effort: check_rest(effort, "x"),
         control=Control("eps constant", lambda effort: check_rest(effort, "x", lambda k: 1.0)),
     ),
@@ -305,7 +296,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Along that loop the planned terminal states r(k) = x_N(k) go to zero.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=lambda effort: check_rest(effort, "r"),
         control=Control("eps constant", lambda effort: check_rest(effort, "r", lambda k: 1.0)),
     ),
@@ -316,7 +306,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Where the horizon is too short to hold the system, the state goes to zero no faster than the root of eps(k).",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=check_pace,
         control=Control("eps falling by half at every step", lambda effort: check_pace(effort, lambda k: 0.5**k)),
     ),
@@ -341,7 +330,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Scalar systems with N = 1 and a predictor that changes with k come to rest where V2's gains are bounded.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=lambda effort: check_changing(effort, settling),
         control=Control("gains of V2 that grow", lambda effort: check_changing(effort, vanishing)),
     ),

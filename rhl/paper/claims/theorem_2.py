@@ -20,7 +20,7 @@ from rhl.paper.claims.estimation import (
     trajectory,
 )
 from rhl.paper.claims.estimator_setup import CLAIMS as SETUP
-from rhl.paper.claims.estimator_setup import PAGE, ROUNDING, TEST, WHY, claim
+from rhl.paper.claims.estimator_setup import ROUNDING, WHY, claim
 from rhl.paper.published import linear_example
 from rhl.simulation import simulate
 from rhl.trace import Trace
@@ -328,12 +328,14 @@ CLAIMS: tuple[Claim, ...] = (
         "been measured.",
         "simulation",
         "holds-corrected",
-        partial(check_prehistory, first=1),
-        ("the transition into x(2), which still holds a zero in place of y(-1)", partial(check_prehistory, first=2)),
-        check_prehistory,
-        "With signals set to zero before k = 0, as the paper has it, the linear example's transitions into x(0), x(1) "
-        "and x(2) fit no common (A, B): fitting from x(0), x(1), x(2) on leaves 9.9, 0.9 and 0.08, from x(3) on "
-        "nothing. This does no harm: apply the theory from the step on at which the window holds none of them.",
+        stated=partial(check_prehistory, first=1),
+        control=Control(
+            "the transition into x(2), which still holds a zero in place of y(-1)", partial(check_prehistory, first=2)
+        ),
+        corrected=check_prehistory,
+        reason="With signals set to zero before k = 0, as the paper has it, the linear example's transitions into "
+        "x(0), x(1) and x(2) fit no common (A, B): fitting from x(0), x(1), x(2) on leaves 9.9, 0.9 and 0.08, from "
+        "x(3) on nothing. This does no harm: apply the theory from the step on at which the window holds none of them.",
     ),
     claim(
         "theorem-2.i",
@@ -342,8 +344,8 @@ CLAIMS: tuple[Claim, ...] = (
         "The estimates converge, whatever the signals, as long as Assumption 7 holds.",
         "simulation",
         "refuted",
-        check_settles,
-        ("data that obey no signal model", partial(check_settles, noise=0.3)),
+        stated=check_settles,
+        control=Control("data that obey no signal model", partial(check_settles, noise=0.3)),
         reason="It rests on Lemma 4, and fails as that does: with A = 0, B = 0, x = 0 and unit inputs nearly "
         "orthogonal to the estimate of B, that estimate turns for ever (proof: lemma-4.no-limit). What does hold: "
         "theorem-2.i.weak for all data, theorem-2.i.decaying and theorem-2.i.exciting for convergence.",
@@ -356,8 +358,8 @@ CLAIMS: tuple[Claim, ...] = (
         "steps and residuals sum to at most its first square over 1 - lambda_max: steps and residuals tend to zero.",
         "numerical sampling",
         "holds",
-        check_sums,
-        ("data that obey no signal model", partial(check_sums, noise=0.3)),
+        stated=check_sums,
+        control=Control("data that obey no signal model", partial(check_sums, noise=0.3)),
     ),
     claim(
         "theorem-2.i.decaying",
@@ -368,8 +370,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theta~(0)|^2 / (1 - lambda_max).",
         "numerical sampling",
         "holds",
-        check_decaying,
-        ("signals that go on, of which four windows are counted", partial(check_decaying, counted=4)),
+        stated=check_decaying,
+        control=Control("signals that go on, of which four windows are counted", partial(check_decaying, counted=4)),
     ),
     claim(
         "theorem-2.i.exciting",
@@ -378,10 +380,10 @@ CLAIMS: tuple[Claim, ...] = (
         "If the signals are bounded and excite, the estimates converge to the one (A, B) that fits.",
         "numerical sampling",
         "holds",
-        check_exciting,
-        ("no signal at all", partial(check_exciting, level=0.0)),
+        stated=check_exciting,
+        control=Control("no signal at all", partial(check_exciting, level=0.0)),
     ),
-    Claim(
+    claim(
         "theorem-2.i.example",
         "Theorem 2(i)",
         _THEOREM,
@@ -389,11 +391,8 @@ CLAIMS: tuple[Claim, ...] = (
         "(A, B), by more than 0.1: the limit is no common minimiser.",
         "simulation",
         "observed",
-        PAGE,
-        TEST,
-        check_settles_outside,
+        stated=check_settles_outside,
         control=Control("a model that fits", partial(check_settles_outside, fitted=True)),
-        by_observation=True,
     ),
     claim(
         "theorem-2.ii",
@@ -404,13 +403,14 @@ CLAIMS: tuple[Claim, ...] = (
         "tend to zero.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_settles, window=3),
-        ("inputs that are planned and not applied", partial(check_prediction, planned=True)),
-        check_prediction,
-        "(6), convergence, fails with (i). (7) holds exactly (eq-21). (8) holds for applied inputs and every horizon, "
-        "not only for one step less than the window, as the proof has it: chain the residuals of later estimates "
-        "instead of comparing with a limit. With squares, omega_1 is made of residuals e*, omega_2 and omega_3 of "
-        "|theta*(k+j+1) - theta~(k)|^2, all of which tend to zero where the estimates stay bounded (theorem-2.i.weak).",
+        stated=partial(check_settles, window=3),
+        control=Control("inputs that are planned and not applied", partial(check_prediction, planned=True)),
+        corrected=check_prediction,
+        reason="(6), convergence, fails with (i). (7) holds exactly (eq-21). (8) holds for applied inputs and every "
+        "horizon, not only for one step less than the window, as the proof has it: chain the residuals of later "
+        "estimates instead of comparing with a limit. With squares, omega_1 is made of residuals e*, omega_2 and "
+        "omega_3 of |theta*(k+j+1) - theta~(k)|^2, all of which tend to zero where the estimates stay bounded "
+        "(theorem-2.i.weak).",
     ),
     claim(
         "theorem-2.ii.planned",
@@ -419,8 +419,8 @@ CLAIMS: tuple[Claim, ...] = (
         "The estimates also predict inputs that are planned and not applied, as Assumption 4(b) wants them to.",
         "simulation",
         "refuted",
-        check_planned,
-        ("a plan whose second input differs yet more", partial(check_planned, second=-2.0)),
+        stated=check_planned,
+        control=Control("a plan whose second input differs yet more", partial(check_planned, second=-2.0)),
         reason="Theorem 2(ii) speaks of the applied inputs, and for those it holds. On the open-loop data x = 1, "
         "A = 1, B = 1, u = 0 the estimate of B never moves, and with a second input that is planned and not applied "
         "the two-step prediction stays wrong by a constant. Data say nothing about inputs that are never applied. The "
@@ -434,11 +434,11 @@ CLAIMS: tuple[Claim, ...] = (
         "tends to zero.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_window, equation=47, printed=True),
-        ("the formula as printed", partial(check_window, equation=47, printed=True)),
-        partial(check_window, equation=47),
-        "The residuals are printed as those of theta*(k), while A(k), B(k) are those of theta~(k): right only without "
-        "mixing. The residuals of theta~(k), (1 - lambda) e*(k) + lambda (s(k) - R(k) theta~(k-1)), are meant.",
+        stated=partial(check_window, equation=47, printed=True),
+        control=Control("the formula as printed", partial(check_window, equation=47, printed=True)),
+        corrected=partial(check_window, equation=47),
+        reason="The residuals are printed as those of theta*(k), while A(k), B(k) are those of theta~(k): right only "
+        "without mixing. The residuals of theta~(k), (1 - lambda) e*(k) + lambda (s(k) - R(k) theta~(k-1)), are meant.",
     ),
     claim(
         "eq-48",
@@ -447,10 +447,10 @@ CLAIMS: tuple[Claim, ...] = (
         "The estimate's powers reproduce the window from its first signal on, up to sums of powers times residuals.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_window, equation=48, printed=True),
-        ("the formula as printed", partial(check_window, equation=48, printed=True)),
-        partial(check_window, equation=48),
-        _INDEX,
+        stated=partial(check_window, equation=48, printed=True),
+        control=Control("the formula as printed", partial(check_window, equation=48, printed=True)),
+        corrected=partial(check_window, equation=48),
+        reason=_INDEX,
     ),
     claim(
         "eq-49",
@@ -459,10 +459,10 @@ CLAIMS: tuple[Claim, ...] = (
         "The same with the limits of the powers, and the differences to them.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_window, equation=49, printed=True),
-        ("the formula as printed", partial(check_window, equation=49, printed=True)),
-        partial(check_window, equation=49),
-        _INDEX,
+        stated=partial(check_window, equation=49, printed=True),
+        control=Control("the formula as printed", partial(check_window, equation=49, printed=True)),
+        corrected=partial(check_window, equation=49),
+        reason=_INDEX,
     ),
     claim(
         "eq-50",
@@ -471,10 +471,10 @@ CLAIMS: tuple[Claim, ...] = (
         "All differences collected in e_j, the limit's powers predict j steps ahead.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_window, equation=50, printed=True),
-        ("the formula as printed", partial(check_window, equation=50, printed=True)),
-        partial(check_window, equation=50),
-        _INDEX,
+        stated=partial(check_window, equation=50, printed=True),
+        control=Control("the formula as printed", partial(check_window, equation=50, printed=True)),
+        corrected=partial(check_window, equation=50),
+        reason=_INDEX,
     ),
     claim(
         "eq-51",
@@ -483,9 +483,9 @@ CLAIMS: tuple[Claim, ...] = (
         "Both the limit's powers plus e_j and the powers of (A, B) reproduce x(j+k), along the inputs applied.",
         "numerical sampling",
         "holds-corrected",
-        partial(check_window, equation=51, printed=True),
-        ("the formula as printed", partial(check_window, equation=51, printed=True)),
-        partial(check_window, equation=51),
-        _INDEX,
+        stated=partial(check_window, equation=51, printed=True),
+        control=Control("the formula as printed", partial(check_window, equation=51, printed=True)),
+        corrected=partial(check_window, equation=51),
+        reason=_INDEX,
     ),
 )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
-from typing import Any
+from functools import cache, partial
 
 import numpy as np
 
@@ -22,8 +21,7 @@ from rhl.scheme import Controller, Scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 
-_PAGE = "notebooks/13-theorem-3.ipynb"
-_TEST = "tests/paper/claims/test_theorem_3.py"
+_claim = partial(Claim, page="notebooks/13-theorem-3.ipynb", test="tests/paper/claims/test_theorem_3.py")
 
 # Slow modes are still decaying when a run ends; one that does not converge ends at its peak, which is 1.
 _SETTLED = 0.1
@@ -124,18 +122,12 @@ def check_stacks(effort: Effort, oldest_first: bool = False) -> Evidence:
     return Evidence(len(gaps), worst_of(gaps), 0.0, "only copies are made")
 
 
-def _claim(id: str, item: str, label: str, statement: str, **rest: Any) -> Claim:
-    return Claim(id, item, label, statement, page=_PAGE, test=_TEST, **rest)
-
-
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "assumption-1",
         "Assumption 1",
         "ass1ground",
         "The plant is stabilizable and detectable, and a bound m on its order is known.",
-        method="none",
-        recorded="not-checkable",
         reason="A hypothesis. What happens without it is seen in the controls of lemma-6.converse and theorem-3.",
     ),
     _claim(
@@ -145,7 +137,6 @@ CLAIMS: tuple[Claim, ...] = (
         "On unknown plants the scheme brings state and input to zero; seen: below a tenth of their peak in 400 steps.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=check_convergence,
         control=Control("the input cut off the unstable block", lambda effort: check_convergence(effort, False)),
     ),
@@ -156,7 +147,6 @@ CLAIMS: tuple[Claim, ...] = (
         "The state of an unstable unknown plant peaks, as the paper says; here at least tenfold in the median run.",
         method="simulation",
         recorded="observed",
-        by_observation=True,
         stated=check_peaking,
         control=Control("the right model from the first step", lambda effort: check_peaking(effort, known=True)),
     ),
@@ -165,8 +155,6 @@ CLAIMS: tuple[Claim, ...] = (
         "Equation 1",
         "sys",
         "The plant: z+ = Fz + Gv, y = Hz.",
-        method="none",
-        recorded="not-checkable",
         reason="A definition.",
     ),
     _claim(

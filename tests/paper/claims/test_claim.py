@@ -34,7 +34,7 @@ def claim(**changes):
         ({"stated": lambda effort: FAILS}, "refuted", False),
         ({"recorded": "refuted", "reason": "r", "stated": lambda effort: FAILS}, "refuted", True),
         ({"recorded": "refuted", "reason": "r"}, "holds", False),
-        ({"recorded": "observed", "by_observation": True}, "observed", True),
+        ({"recorded": "observed"}, "observed", True),
         (
             {
                 "recorded": "holds-corrected",
@@ -74,7 +74,6 @@ def test_verdicts(changes, verdict, as_recorded):
         ({"recorded": "not-checkable", "reason": "r"}, "must have a check and a control, or neither"),
         ({"reason": "r"}, "must give a reason just where"),
         ({"recorded": "refuted"}, "must give a reason just where"),
-        ({"recorded": "observed"}, "recorded as observed just where"),
         ({"recorded": "holds-corrected", "reason": "r"}, "must have a corrected check"),
     ],
 )

@@ -1,58 +1,18 @@
-"""Losses c, generators g and the Bregman distance that a generator induces, each with its domain and its facts."""
+"""The losses and generators that come with the library, and the Bregman distance that a generator induces."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import approx_fprime
 
-from rhl._checks import (
-    Array,
-    common_batch,
-    describe,
-    members,
-    numbers,
-    positive,
-    real_array,
-    reason,
-    weight_matrix,
-)
+from rhl._checks import Array, common_batch, members, positive, real_array, weight_matrix
 from rhl.errors import InputError
+from rhl.losses._convex import KNOWN, Generator, called, registered
 
 
-class Generator(Protocol):
-    """A strictly convex, continuously differentiable function: value and gradient (Assumption 6)."""
-
-    def value(self, x: Array) -> Array:
-        """Return g(x), shape (...)."""
-
-    def gradient(self, x: Array) -> Array:
-        """Return the gradient at x, shape (..., d)."""
-
-
-class Convex(Generator, Protocol):
-    """A loss or a generator as the estimator takes it: value, gradient, curvature, domain, and what is known of it."""
-
-    @property
-    def lower(self) -> float:
-        """Entries must lie above this; -inf where every number is in the domain."""
-
-    @property
-    def assumption_6(self) -> bool | None:
-        """Whether it is continuously differentiable and strictly convex (as a loss: least at zero); None: unknown."""
-
-    @property
-    def convex_in_second(self) -> bool | None:
-        """Whether the Bregman distance that it induces is convex in its second argument (Lemma 4); None: unknown."""
-
-    def hessian(self, x: Array) -> Array:
-        """Return the second derivatives, shape (..., d) where the matrix is diagonal, else (..., d, d)."""
-
-
+@registered
 @dataclass(frozen=True, eq=False)
 class WeightedSquares:
     r"""The weighted square :math:`x^\top W x`, as loss c or as generator g.
@@ -81,6 +41,9 @@ class WeightedSquares:
     lower = -np.inf
     assumption_6 = True
     convex_in_second = True
+    file_name = "squares"
+    file_loss = ()
+    file_generator = ("weight",)
 
     def __post_init__(self) -> None:
         weight = real_array("weight", self.weight)
@@ -108,6 +71,7 @@ class WeightedSquares:
         return x @ self.weight if np.ndim(self.weight) == 2 else np.asarray(self.weight * x)
 
 
+@registered
 @dataclass(frozen=True, eq=False)
 class LogCosh:
     r"""The loss :math:`c(e) = \sum_i 2 w_i s^2 \log\cosh(e_i / s)`: small residuals squared, large ones linear.
@@ -137,10 +101,17 @@ class LogCosh:
     lower = -np.inf
     assumption_6 = True
     convex_in_second = False
+    file_name = "log-cosh"
+    file_loss = ("scale",)
+    file_generator = None
 
     def __post_init__(self) -> None:
         positive("scale", self.scale)
         object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def squares(self) -> WeightedSquares:
+        """Return the squares that it comes down to for small residuals, whose answer is a good start for its own."""
+        return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""
@@ -164,6 +135,7 @@ class LogCosh:
         return np.asarray(2 * self.weight * (2 * decay / (1 + decay**2)) ** 2)
 
 
+@registered
 @dataclass(frozen=True, eq=False)
 class PseudoHuber:
     r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, Huber's, made smooth.
@@ -193,10 +165,17 @@ class PseudoHuber:
     lower = -np.inf
     assumption_6 = True
     convex_in_second = False
+    file_name = "pseudo-huber"
+    file_loss = ("scale",)
+    file_generator = None
 
     def __post_init__(self) -> None:
         positive("scale", self.scale)
         object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def squares(self) -> WeightedSquares:
+        """Return the squares that it comes down to for small residuals, whose answer is a good start for its own."""
+        return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""
@@ -213,6 +192,7 @@ class PseudoHuber:
         return np.asarray(2 * self.weight * np.hypot(1, x / self.scale) ** -3.0)
 
 
+@registered
 @dataclass(frozen=True, eq=False)
 class Entropy:
     r"""The generator :math:`g(\theta) = \sum_i w_i\, \theta_i \log\theta_i` on positive parameters.
@@ -239,6 +219,9 @@ class Entropy:
     lower = 0.0
     assumption_6 = True
     convex_in_second = True
+    file_name = "entropy"
+    file_loss = None
+    file_generator = ("weight",)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "weight", _entrywise(self.weight))
@@ -256,163 +239,6 @@ class Entropy:
     def hessian(self, x: Array) -> Array:
         """Return the entries w / x, shape (..., d)."""
         return np.asarray(self.weight / x)
-
-
-@dataclass(frozen=True, eq=False, init=False)
-class CustomLoss:
-    """A loss or a generator of the user's own, from its value and its gradient.
-
-    Parameters
-    ----------
-    value : callable
-        x, shape (d,) -> c(x) or g(x), a number. In the order of ``WeightedSquares``.
-    gradient : callable
-        x, shape (d,) -> the gradient, shape (d,).
-    hessian : callable, optional
-        x, shape (d,) -> second derivatives, shape (d,) where the matrix is diagonal, else (d, d). Taken by forward
-        differences of the gradient where omitted: slower, and the answer as exact.
-    lower : float
-        The domain is where every entry lies above this.
-    assumption_6, convex_in_second : bool, optional
-        What is known of it, see ``Convex``; omitted: nothing, and the estimator says so.
-    name : str
-        What messages call it.
-
-    Raises
-    ------
-    InputError
-        When one of the functions raises, or returns another shape, or NaN.
-    """
-
-    _value: Callable[[Array], float]
-    _gradient: Callable[[Array], ArrayLike]
-    _hessian: Callable[[Array], ArrayLike] | None
-    lower: float
-    assumption_6: bool | None
-    convex_in_second: bool | None
-    name: str
-
-    def __init__(
-        self,
-        value: Callable[[Array], float],
-        gradient: Callable[[Array], ArrayLike],
-        hessian: Callable[[Array], ArrayLike] | None = None,
-        lower: float = -np.inf,
-        assumption_6: bool | None = None,
-        convex_in_second: bool | None = None,
-        name: str = "CustomLoss",
-    ) -> None:
-        functions: dict[str, object] = {"value": value, "gradient": gradient, "hessian": hessian}
-        for role, found in functions.items():
-            if not callable(found) and not (role == "hessian" and found is None):
-                raise InputError(f"{role} must be a function of x, got {describe(found)}")
-        bound: object = lower
-        if isinstance(bound, bool) or not isinstance(bound, (int, float)) or not bound < np.inf:
-            raise InputError(f"lower must be a number or -inf, got {describe(lower)}")
-        facts: dict[str, object] = {"assumption_6": assumption_6, "convex_in_second": convex_in_second}
-        for known, fact in facts.items():
-            if not isinstance(fact, bool | None):
-                raise InputError(f"{known} must be True, False or None, got {describe(fact)}")
-        called_so: object = name
-        if not isinstance(called_so, str):
-            raise InputError(f"name must be a string, got {describe(name)}")
-        settings = {f"_{role}": found for role, found in functions.items()} | {"lower": lower, **facts, "name": name}
-        for setting, chosen in settings.items():
-            object.__setattr__(self, setting, chosen)
-
-    def value(self, x: Array) -> Array:
-        """Return the value, shape (...); infinite outside the domain."""
-        return _each(lambda point: self._at(point), x, ())
-
-    def gradient(self, x: Array) -> Array:
-        """Return the gradient, shape (..., d)."""
-        return _each(lambda point: self._call("gradient", self._gradient, point, [point.shape]), x, x.shape[-1:])
-
-    def hessian(self, x: Array) -> Array:
-        """Return the second derivatives, shape (..., d) or (..., d, d)."""
-        d = x.shape[-1]
-        if self._hessian is not None:
-            known = self._hessian
-            rows = [self._call("hessian", known, point, [(d,), (d, d)]) for point in x.reshape(-1, d)]
-            return np.reshape(rows, (*x.shape[:-1], *rows[0].shape))
-        return _each(self._differences, x, (d, d))
-
-    def _at(self, point: Array) -> Array:
-        # Outside its domain a function of the user's need not have an answer.
-        return self._call("value", self._value, point, [()]) if np.all(point > self.lower) else np.asarray(np.inf)
-
-    def _differences(self, point: Array) -> Array:
-        # Forward, because the domain is bounded from below only.
-        widths = np.sqrt(np.finfo(float).eps) * np.maximum(np.abs(point), 1e-3)
-        slopes = approx_fprime(point, lambda at: self.gradient(at), widths)
-        return np.asarray((slopes + slopes.T) / 2)
-
-    def _call(self, role: str, function: Callable[[Array], Any], point: Array, shapes: list[tuple[int, ...]]) -> Array:
-        try:
-            found = numbers(function(point))
-        except Exception as error:  # whatever a user's function raises
-            raise InputError(
-                f"{self.name}'s function {role!r} must take x of shape {point.shape} and return real numbers, "
-                f"got {reason(error)}; call it with such an array to see where it fails"
-            ) from error
-        if found.shape not in shapes:
-            wanted = " or ".join(str(shape) for shape in shapes)
-            raise InputError(f"{self.name}'s function {role!r} must return shape {wanted}, got {found.shape}")
-        if np.any(np.isnan(found)) or (role != "value" and np.any(np.isinf(found))):
-            raise InputError(
-                f"{self.name}'s function {role!r} must return finite numbers in its domain, got {found.ravel()[:3]} "
-                f"at x with entries from {point.min():.3g} to {point.max():.3g}; set lower where the domain is bounded"
-            )
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class Varying:
-    """A loss that changes with k, equation (15)'s c(e, k).
-
-    Parameters
-    ----------
-    at : callable
-        k -> the loss of that step: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``CustomLoss``.
-
-    Raises
-    ------
-    InputError
-        If ``at`` is not a function; later, if it raises or returns something else than a loss.
-    """
-
-    at: Callable[[int], Convex]
-
-    def __post_init__(self) -> None:
-        if not callable(self.at):
-            raise InputError(f"at must be a function of k that returns a loss, got {describe(self.at)}")
-
-    def loss(self, k: int) -> Convex:
-        """Return c(., k)."""
-        try:
-            found = self.at(k)
-        except Exception as error:  # whatever a user's function raises
-            raise InputError(f"at must return the loss of step {k}, got {reason(error)}") from error
-        return convex("at(k)", found)
-
-
-def convex(name: str, value: Any) -> Convex:
-    """Check that a value has the members of ``Convex``.
-
-    Raises
-    ------
-    InputError
-        If it lacks one.
-    """
-    kind = "a loss or generator (WeightedSquares, LogCosh, PseudoHuber, Entropy, or CustomLoss for your own functions)"
-    members(name, value, kind, "value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
-    checked: Convex = value
-    return checked
-
-
-def called(function: object) -> str:
-    """Return what messages call a loss or a generator."""
-    return str(getattr(function, "name", type(function).__name__))
 
 
 def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
@@ -444,7 +270,7 @@ def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
     >>> float(divergence(WeightedSquares(), [3.0, 0.0], [0.0, 4.0]))
     25.0
     """
-    members("g", g, "a generator (WeightedSquares, Entropy, ..., or CustomLoss)", "value", "gradient")
+    members("g", g, f"a generator ({', '.join(KNOWN)}, or CustomLoss)", "value", "gradient")
     x, y = real_array("x", x, (None,)), real_array("y", y, (None,))
     d, weights = x.shape[-1], np.shape(getattr(g, "weight", 1.0))
     if y.shape[-1] != d:
@@ -471,9 +297,3 @@ def _entrywise(weight: ArrayLike) -> Array:
         found = array.min() if array.size and array.ndim < 2 else f"shape {array.shape}"
         raise InputError(f"weight must be positive, one number or shape (d,), got {found}")
     return array
-
-
-def _each(function: Callable[[Array], ArrayLike], x: Array, core: tuple[int, ...]) -> Array:
-    """Call a function that knows vectors only for every member of a batch."""
-    found = [np.asarray(function(point)) for point in x.reshape(-1, x.shape[-1])]
-    return np.reshape(found, (*x.shape[:-1], *core))
