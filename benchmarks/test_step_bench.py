@@ -11,8 +11,8 @@ from rhl.paper.published import replay_published
 from rhl.simulation import simulate
 from tests import oracle
 
-# The 40 problems that the published data pose. Rounding their data to float64 already moves their exact answers by up to
-# 8e-14 (``oracle.movement``), so that 1e-12 leaves one digit for the recursion.
+# The 40 problems that the published data pose. Rounding their data to float64 already moves their exact answers by up
+# to 8e-14 (``oracle.movement``), so that 1e-12 leaves one digit for the recursion.
 FROZEN = replay_published().steps[-40:]
 ACCURATE = 1e-12
 # y, v and z of the example are 5 numbers, 40 bytes; this leaves as much again for what does not grow with the steps.
