@@ -1,6 +1,7 @@
 """One thread, the processor's own kernels, and a plain table of every group at the end of `make bench`."""
 
 import os
+import re
 import sys
 from itertools import groupby
 from pathlib import Path
@@ -16,22 +17,20 @@ for name in ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"):
 def machine():
     """The processor in one line."""
     info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    found = re.search(r"model name\s*: (.*)", info.read_text(encoding="utf-8")) if info.exists() else None
     threads = "as set outside, numpy was loaded first" if NUMPY_WAS_FIRST else "1"
-    return f"{names[0] if names else 'processor unknown'}, {os.cpu_count()} cores; BLAS threads: {threads}"
+    return f"{found[1] if found else 'processor unknown'}, {os.cpu_count()} cores; BLAS threads: {threads}"
 
 
 def time(seconds):
     """Seconds with a unit that leaves one to three digits before the point."""
     unit, factor = next(((u, f) for u, f in (("s", 1), ("ms", 1e3), ("us", 1e6)) if seconds * f >= 1), ("ns", 1e9))
-    return f"{seconds * factor:.3g} {unit}" if seconds * factor < 1000 else f"{seconds * factor:.0f} {unit}"
+    return f"{seconds * factor:.3g} {unit}"
 
 
 def pytest_terminal_summary(terminalreporter):
     """Print a table for each group: median time of a step or call, its ratio to rhl's row, and what else was noted."""
-    session = getattr(terminalreporter.config, "_benchmarksession", None)
-    done = [bench for bench in session.benchmarks if bench and bench.stats.rounds] if session else []
+    done = [bench for bench in terminalreporter.config._benchmarksession.benchmarks if bench and bench.stats.rounds]
     if not done:
         return
     terminalreporter.section("medians")
@@ -45,7 +44,7 @@ def pytest_terminal_summary(terminalreporter):
         for (name, bench), median in zip(rows, medians, strict=True):
             noted = (bench.extra_info.get(column, "") for column in columns)
             shown = (f"{value:.2g}" if isinstance(value, float) else str(value) for value in noted)
-            table.append([name, time(median), f"{median / own:.3g}", *shown])
+            table.append([name, time(median), f"{median / own:.2f}", *shown])
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         terminalreporter.line(f"\n{group or 'no group'}")
         for name, *cells in table:

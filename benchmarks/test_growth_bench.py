@@ -12,7 +12,7 @@ from rhl.model import SignalModel
 from rhl.paper.published import linear_example
 from rhl.simulation import simulate
 
-STEPS = 20
+STEPS = 42
 FIGURE = Path(__file__).parent.parent / "build" / "bench" / "growth.svg"
 POINTS = {
     "n, outputs and inputs in the lifting": (2, 3, 4, 6, 8, 12),
@@ -76,6 +76,8 @@ def draw(found):
         sizes, times = (np.array(list(values), dtype=float) for values in (of.keys(), of.values()))
         panel.loglog(sizes, times * 1e6, "o-", color="C0")
         panel.set_xticks(sizes, [f"{size:g}" for size in sizes])
+        low, high = np.floor(np.log10(times.min() * 1e6)), np.ceil(np.log10(times.max() * 1e6))
+        panel.set_ylim(10**low, 10**high)  # whole decades, so that what hardly grows is seen to
         panel.minorticks_off()
         panel.set(xlabel=axis, ylabel="a step, us" if axis != "batch" else "a step of the whole batch, us")
         panel.grid(alpha=0.3)
@@ -87,4 +89,3 @@ def draw(found):
     )
     FIGURE.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(FIGURE)
-    print(f"growth: slopes {'; '.join(named)}; drawn in {FIGURE}")
