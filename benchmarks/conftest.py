@@ -8,8 +8,7 @@ from pathlib import Path
 
 # Before numpy loads: a BLAS reads its number of threads once, and tests may have pinned its kernels.
 NUMPY_WAS_FIRST = "numpy" in sys.modules
-for name in ("OPENBLAS", "OMP", "MKL", "NUMBA"):
-    os.environ[f"{name}_NUM_THREADS"] = "1"
+os.environ.update({f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMBA")})
 for name in ("OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"):
     os.environ.pop(name, None)
 
@@ -33,8 +32,7 @@ def pytest_terminal_summary(terminalreporter):
     done = [bench for bench in terminalreporter.config._benchmarksession.benchmarks if bench and bench.stats.rounds]
     if not done:
         return
-    terminalreporter.section("medians")
-    terminalreporter.line(machine())
+    terminalreporter.section(f"medians on {machine()}")
     for group, members in groupby(sorted(done, key=lambda bench: bench.group or ""), lambda bench: bench.group or ""):
         rows = [(bench.extra_info.pop("row", bench.name), bench) for bench in members]
         medians = [bench.stats.median / bench.extra_info.pop("steps", 1) for _, bench in rows]
@@ -42,11 +40,11 @@ def pytest_terminal_summary(terminalreporter):
         columns = list(dict.fromkeys(name for _, bench in rows for name in bench.extra_info))
         table = [["", "median", "ratio", *columns]]
         for (name, bench), median in zip(rows, medians, strict=True):
-            noted = (bench.extra_info.get(column, "") for column in columns)
-            shown = (f"{value:.2g}" if isinstance(value, float) else str(value) for value in noted)
-            table.append([name, time(median), f"{median / own:.2f}", *shown])
+            noted = [bench.extra_info.get(column, "") for column in columns]
+            noted = [f"{value:.2g}" if isinstance(value, float) else str(value) for value in noted]
+            table.append([name, time(median), f"{median / own:.2f}", *noted])
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         terminalreporter.line(f"\n{group or 'no group'}")
         for name, *cells in table:
-            aligned = (cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True))
-            terminalreporter.line("  ".join(["", name.ljust(widths[0]), *aligned]).rstrip())
+            aligned = [cell.rjust(width) for cell, width in zip(cells, widths[1:], strict=True)]
+            terminalreporter.line("  ".join(["", name.ljust(widths[0]), *aligned]))

@@ -47,7 +47,7 @@ def compiled(tmp_path_factory):
         ("rhl --help", ("-c", RHL, "--help")),
         (COLD, ("-m", "rhl.kernels")),  # fills the folder that the following find full
         ("python -m rhl.kernels", ("-m", "rhl.kernels")),
-        ("rhl run of the linear example", ("-c", RHL, "run", "run.toml", "--output", "run.csv")),
+        ("rhl run of the linear example", ("-c", RHL, "run", "run.toml", "--output", "run.csv", "--force")),
     ],
 )
 def test_start(benchmark, compiled, row, arguments):

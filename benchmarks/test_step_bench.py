@@ -103,6 +103,6 @@ def test_memory(benchmark, members):
     assert len(trace) == BATCH_STEPS
     each = members * BATCH_STEPS
     benchmark.extra_info["row"] = f"{members} plants, {BATCH_STEPS} steps, while memory is traced"
-    benchmark.extra_info["bytes kept a plant and step"] = kept / each
-    benchmark.extra_info["at most meanwhile"] = peak / each
+    benchmark.extra_info["bytes kept a plant and step"] = round(kept / each)
+    benchmark.extra_info["at most meanwhile"] = round(peak / each)
     assert kept / each <= BYTES
