@@ -1,4 +1,4 @@
-"""How fast the horizon solver is, one problem at a time and many at once; groups are to be compared side by side."""
+"""The horizon solver one problem at a time and many at once, and what else a step may take."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,15 @@ from rhl.controllability import LambdaSearch
 from rhl.horizon import V1, V2, V3, solve
 from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
-from rhl.simulation import simulate
 
 SEED = 2010_05891
 BATCH = 200
-SIZES = {"n, q, N": (7, 1, 20)}
+n, q, N = 7, 1, 20
 
 
 @pytest.fixture(scope="module")
 def case():
     """Two hundred models of the linear example's size, with their states."""
-    n, q, N = SIZES["n, q, N"]
     rng = np.random.default_rng(SEED)
     A = rng.standard_normal((BATCH, n, n))
     A /= np.max(np.abs(np.linalg.eigvals(A)), axis=-1)[:, None, None]
@@ -56,26 +54,12 @@ def test_signal_model_or_predictor_maps(benchmark, form, case):
     assert benchmark(lambda: solve(posed, x[0])).u.shape == (N, 1)
 
 
-@pytest.mark.parametrize("example", [linear_example, robot_arm])
-def test_published_run(benchmark, example):
-    benchmark.group = "the paper's runs"
-    made = example()
+def test_robot_arm(benchmark):
+    """A plant that is no LinearPlant goes step by step; test_step_bench.py has the linear example."""
+    benchmark.group = "a step of the robot arm, everything included"
+    made = robot_arm()
+    benchmark.extra_info.update({"row": "rhl", "steps": made.steps})
     assert len(benchmark(made.run)) == made.steps
-
-
-@pytest.mark.parametrize("how", ["batch", "loop"])
-def test_many_loops(benchmark, how):
-    benchmark.group = "20 closed loops of 20 steps"
-    made = linear_example()
-    starts = made.z0 * np.linspace(0.5, 1.5, 20)[:, None]
-
-    def together():
-        return simulate(made.scheme, made.plant, starts, 20).v.swapaxes(0, 1)
-
-    def alone():
-        return np.stack([simulate(made.scheme, made.plant, z0, 20).v for z0 in starts])
-
-    assert benchmark.pedantic(together if how == "batch" else alone, rounds=3).shape == (20, 20, 1)
 
 
 @pytest.mark.parametrize("pair", ["lifted", "augmented"])
