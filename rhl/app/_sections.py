@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import runpy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
 from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Outliers, Saturation
 from rhl.errors import InputError, PlantError
 from rhl.lifting import DelayLifting
-from rhl.losses import Convex, Entropy, LogCosh, PseudoHuber, WeightedSquares
+from rhl.losses import GENERATORS, LOSSES, Convex
 from rhl.model import SignalModel
 from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
 from rhl.plants.analysis import rough_model
@@ -152,6 +152,10 @@ class LiftingSection(Section):
         return DelayLifting(self.outputs, self.inputs, Polynomials(self.degree) if self.degree > 1 else terms)
 
 
+def _others(offered: Mapping[str, type], between: str, quote: str = "") -> str:
+    return between.join(f"{quote}{name}{quote}" for name in offered if name != "squares")
+
+
 class EstimatorSection(Section):
     """[estimator]: equation (15)."""
 
@@ -171,9 +175,14 @@ class EstimatorSection(Section):
         WORDS,
         MATRIX,
     )
-    loss = key('"squares", or, where outliers shall count less, "log-cosh" or "pseudo-huber"', default="squares")
-    loss_scale = key("{}, the residual above which log-cosh and pseudo-huber count an outlier", POSITIVE, default=1.0)
-    generator = key('"squares", or "entropy" where every entry of A and B is known to be positive', default="squares")
+    loss = key(f'"squares", or, where outliers shall count less, {_others(LOSSES, " or ", chr(34))}', default="squares")
+    loss_scale = key(
+        f"{{}}, the residual above which {_others(LOSSES, ' and ')} count an outlier", POSITIVE, default=1.0
+    )
+    generator = key(
+        f'"squares", or {_others(GENERATORS, " or ", chr(34))} where every entry of A and B is known to be positive',
+        default="squares",
+    )
     mixing_pair = key('"lifted" or "augmented", the pair that the search keeps controllable', default="augmented")
     mixing_rule = key('"first" or "best", which candidate with enough margin the search takes', default="best")
     mixing_count = key('"lemma" (2 n^2 + 1 candidates) or "sharp" (n (n+1)/2)', default="lemma")
@@ -181,13 +190,13 @@ class EstimatorSection(Section):
     least_margin = key("{}, what the search calls controllable", POSITIVE, default=1e-9)
 
     def convex_loss(self) -> Convex:
-        self.heeded("loss_scale", self.loss != "squares", 'where loss is "squares"')
-        if self.loss == "squares":
-            return WeightedSquares()
-        return LogCosh(self.loss_scale) if self.loss == "log-cosh" else PseudoHuber(self.loss_scale)
+        kind: Any = LOSSES[self.loss]
+        self.heeded("loss_scale", "scale" in kind.file_loss, f'where loss is "{self.loss}"')
+        return kind(**{name: getattr(self, f"loss_{name}") for name in kind.file_loss})
 
     def convex_generator(self) -> Convex:
-        return WeightedSquares(self.weight) if self.generator == "squares" else Entropy(self.weight)
+        kind: Any = GENERATORS[self.generator]
+        return kind(**{name: getattr(self, name) for name in kind.file_generator})
 
     def mixed_by(self) -> Mixing:
         for name in ("mixing_pair", "mixing_rule", "mixing_count", "lambda_max", "least_margin"):
