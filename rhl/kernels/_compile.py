@@ -24,7 +24,7 @@ else:
         def on_start(self, event: Any) -> None:
             if not self.said and event.data["dispatcher"].py_func.__module__.startswith("rhl."):
                 self.said = True
-                print("rhl: compiling its loops, once for this installation: about 12 s", file=sys.stderr)
+                print("rhl: compiling its loops, once for this installation: about 15 s", file=sys.stderr)
 
         def on_end(self, event: Any) -> None:
             """Do nothing; a listener must have it."""
