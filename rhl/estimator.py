@@ -11,13 +11,11 @@ import numpy as np
 from rhl._checks import Array, describe, instance, integer, real_array
 from rhl._lanes import blocks, from_lanes, to_lanes
 from rhl.constraints import LinearConstraints
-from rhl.errors import AssumptionWarning, InputError, NotSolvedError
+from rhl.errors import AssumptionWarning, InputError
 from rhl.losses import Convex, Varying, WeightedSquares, called, convex
 from rhl.losses._descent import solve
 from rhl.losses._proximal import Proximal, quadratic, regression, regression_of_rows
 from rhl.model import SignalModel
-
-__all__ = ["NotSolvedError", "ProximalEstimator"]
 
 
 @dataclass(frozen=True, eq=False)
