@@ -63,14 +63,7 @@ class Setting:
 def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
     """Return the settings in groups: those of one group are swept together, the others meanwhile keep their values.
 
-    Parameters
-    ----------
-    name : {"linear", "robot"}
-        The linear example or the robot arm.
-
-    Returns
-    -------
-    tuple of tuple of Setting
+    ``name`` {"linear", "robot"}: the linear example or the robot arm.
 
     Examples
     --------
@@ -132,10 +125,6 @@ def signals(name: Name) -> tuple[dict[str, Any], ...]:
 def record(changed: Experiment) -> dict[str, Any]:
     """Run an experiment and return its curves, each a list over k; a run that diverges ends there and says so.
 
-    Parameters
-    ----------
-    changed : Experiment
-
     Returns
     -------
     dict
@@ -165,11 +154,7 @@ def record(changed: Experiment) -> dict[str, Any]:
 def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
     """Run the experiment at all combinations of a group's values, the last setting changing fastest.
 
-    Parameters
-    ----------
-    name : {"linear", "robot"}
-    group : tuple of Setting
-        One of ``settings(name)``.
+    ``group``: one of ``settings(name)``.
 
     Yields
     ------
@@ -186,12 +171,8 @@ def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
 def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
     """Return Lemma 4's spiral for several rates at which its directions turn tangential.
 
-    Parameters
-    ----------
-    steps : int
-        K.
-    points : int
-        How many iterates are kept, geometrically spaced, at most.
+    ``steps``: K.
+    ``points``: how many iterates are kept, geometrically spaced, at most.
 
     Returns
     -------
@@ -220,10 +201,7 @@ def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
 def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
     """Return the margin of Lemma 5's mixtures over lambda, for pairs with as many bad lambdas as there can be.
 
-    Parameters
-    ----------
-    orders : iterable of int
-        n of each pair.
+    ``orders``: n of each pair.
 
     Returns
     -------

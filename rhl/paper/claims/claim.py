@@ -179,11 +179,6 @@ class Judgement:
 def judge(claim: Claim, effort: Effort) -> Judgement:
     """Run a claim's checks and its control.
 
-    Parameters
-    ----------
-    claim : Claim
-    effort : Effort
-
     Returns
     -------
     Judgement

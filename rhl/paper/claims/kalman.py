@@ -46,15 +46,8 @@ def kalman_form(
 ) -> KalmanForm:
     """Draw a plant of the form (52).
 
-    Parameters
-    ----------
-    rng : Generator
-    p, q : int
-        Numbers of outputs and inputs.
-    sizes : tuple of int
-        Of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
-    hidden_radius : float
-        Spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
+    ``sizes`` are those of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
+    ``hidden_radius``: spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
 
     Returns
     -------

@@ -224,21 +224,10 @@ def draw(
 ) -> Setting:
     """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
 
-    Parameters
-    ----------
-    rng : Generator
-    count : int
-        How many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
-    sizes : tuple of int
-        n, q, N.
-    steps : int
-        T.
-    error_decay : float
-        The models' errors shrink by this factor a step.
-
-    Returns
-    -------
-    Setting
+    ``count``: how many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
+    ``sizes``: n, q, N.
+    ``steps``: T.
+    ``error_decay``: the models' errors shrink by this factor a step.
     """
     n, q, N = sizes
     fade = error_decay ** np.arange(steps + 1)[:, None, None]

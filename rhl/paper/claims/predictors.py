@@ -42,15 +42,9 @@ def commutation_gaps(
 ) -> list[Fraction | int]:
     """Return the differences of the three members of (7) for 0 <= i + j <= N + 1.
 
-    Parameters
-    ----------
-    maps : tuple of lists
-        A_0 ... A_N and B_0 ... B_{N-1}.
-    x : array, shape (n)
-    s : array, shape (N+1, q)
-        Inputs; s_N has a part for i + j = N + 1 only.
-    printed : bool
-        Count a map that (7) names and (5) does not have as a difference of one.
+    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}.
+    ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
+    ``printed``: count a map that (7) names and (5) does not have as a difference of one.
     """
     N = len(maps[1])
     gaps: list[Fraction | int] = []

@@ -112,12 +112,7 @@ class Ridge:
 def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
     r"""Return the minimiser of :math:`f(x) + D(x, \tilde x_k)`, the first line of (20).
 
-    Parameters
-    ----------
-    f : Ridge
-    g : Mirror
-    centre : array, shape (d,)
-        The proximal centre.
+    ``centre`` (d,): the proximal centre.
 
     Returns
     -------
@@ -190,19 +185,9 @@ class Run:
 def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) -> Run:
     """Run the proximal iterations (20).
 
-    Parameters
-    ----------
-    functions : sequence of Ridge
-        f(., 0), f(., 1), ..., as many as steps are to be taken.
-    g : Mirror
-    start : array, shape (d,)
-        The first centre.
-    mixing : array, shape (K,)
-        lambda_1, ..., lambda_K.
-
-    Returns
-    -------
-    Run
+    ``functions``: f(., 0), f(., 1), ..., as many as steps are to be taken.
+    ``start`` (d,): the first centre.
+    ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
     centres, minimisers = [np.asarray(start, dtype=np.float64)], []
     for f, lam in zip(functions, mixing, strict=True):
@@ -218,12 +203,8 @@ def tangential_turns(steps: int, exponent: float = 0.75) -> tuple[Array, Array]:
     :math:`D = |x-y|^2` multiplies the squared norm by :math:`1 - 3\delta_k^2/4` and turns x by the angle whose tangent
     is :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`.
 
-    Parameters
-    ----------
-    steps : int
-        K.
-    exponent : float
-        e in delta_k = k^-e / 2, k = 1, 2, ...
+    ``steps``: K.
+    ``exponent``: e of delta_k = k^-e / 2, k = 1, 2, ...
 
     Returns
     -------
@@ -260,15 +241,9 @@ def draw_run(
 ) -> tuple[Run, Array]:
     """Run (20) on random convex functions with a common minimiser.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    g : Mirror
-        Points are drawn positive, so that the entropy is at home too.
-    consistent : bool
-        False: without a common minimiser.
-    scale : float
-        How large the points are.
+    ``g``: points are drawn positive, so that the entropy is at home too.
+    ``consistent`` False: without a common minimiser.
+    ``scale``: how large the points are.
 
     Returns
     -------
@@ -355,12 +330,8 @@ def sum_excess(run: Run, target: Array, lambda_max: float = _MIXING) -> Array:
 def shrinking_limit(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
     r"""Enclose the limit of (20) for :math:`f(x,k) = \rho^k x^2`, :math:`D = |x-y|^2/2`, from x = 1, in exact numbers.
 
-    Parameters
-    ----------
-    ratio : Fraction
-        rho in (0, 1].
-    steps : int
-        After how many steps the tail is bounded.
+    ``ratio``: rho in (0, 1].
+    ``steps``: after how many steps the tail is bounded.
 
     Returns
     -------

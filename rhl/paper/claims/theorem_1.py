@@ -45,16 +45,9 @@ def close(
 ) -> Loop:
     """Close the loop of V1 and the system that its predictor is, equations (2) to (4), with Gamma = x'x.
 
-    Parameters
-    ----------
-    model : SignalModel
-        Batch of systems; also the predictor.
-    x0 : array, shape (systems, n)
-    epsilon : callable
-        k -> epsilon(k).
-    steps : int
-    horizon : int, optional
-        N; the order n where omitted, the least that Assumption 3 allows.
+    ``model``: batch of systems; also the predictor.
+    ``epsilon``: k -> epsilon(k).
+    ``horizon``: N; the order n where omitted, the least that Assumption 3 allows.
 
     Returns
     -------
@@ -102,13 +95,8 @@ def well_conditioned(model: SignalModel) -> Array:
 def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = falling) -> Evidence:
     """Run the loop on random stabilizable systems and see how far it has come down from its peak.
 
-    Parameters
-    ----------
-    effort : Effort
-    of : {"x", "r"}
-        Look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to vanish.
-    epsilon : callable
-        The schedule.
+    ``of`` {"x", "r"}: look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to
+    vanish.
     """
     model, x0 = systems(effort.rng("theorem-1"), 3 * effort.cases)
     chosen = np.flatnonzero(well_conditioned(model))[: effort.cases]
@@ -120,11 +108,7 @@ def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = fallin
 def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
     """Compare V1's solution with V3's for r = x_N, equation (40).
 
-    Parameters
-    ----------
-    effort : Effort
-    shift : float
-        Move r by that much.
+    ``shift``: move r by that much.
     """
     rng, gaps = effort.rng("eq-40"), []
     for _ in range(effort.cases):
@@ -185,14 +169,8 @@ def change(
 ) -> Changing:
     """Close the loop of V1, N = 1 and all weights one, with x+ = a x + u and the changing predictor a x + b(k) u.
 
-    Parameters
-    ----------
-    a, x0 : array, shape (systems,)
-    b : callable
-        (k, a) -> b(k), shape (systems,).
-    epsilon : callable
-        k -> epsilon(k).
-    steps : int
+    ``b``: (k, a) -> b(k), shape (systems,).
+    ``epsilon``: k -> epsilon(k).
 
     Returns
     -------
@@ -217,13 +195,7 @@ def check_changing(
 ) -> Evidence:
     """Run unstable scalar systems whose predictor changes with k, and see how far the state has come down.
 
-    Parameters
-    ----------
-    effort : Effort
-    b : callable
-        The predictor's input gain, ``vanishing`` or ``settling``.
-    epsilon : callable
-        The schedule.
+    ``b``: the predictor's input gain, ``vanishing`` or ``settling``.
     """
     rng = effort.rng("theorem-1.changing")
     a, x0 = rng.uniform(1.1, 1.5, effort.cases), rng.uniform(0.1, 1.0, effort.cases)
@@ -243,11 +215,7 @@ def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (
     With N = 1 and Gamma = x^2 the closed loop is x(k+1) = a R x(k) / (R + Q_N x(k)^2 / epsilon(k)), whose factor is one
     where the terminal weight is R (a - 1) / Q_N; below that the state grows, above it falls.
 
-    Parameters
-    ----------
-    effort : Effort
-    epsilon : callable
-        The schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
+    ``epsilon``: the schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
     """
     rng = effort.rng("theorem-1.pace")
     a = rng.uniform(1.1, 2.0, effort.cases)

@@ -33,12 +33,7 @@ def random_plants(rng: np.random.Generator, count: int, reachable: bool = True) 
 
     Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches.
 
-    Parameters
-    ----------
-    rng : Generator
-    count : int
-    reachable : bool
-        False cuts the input off the unstable block: not stabilizable.
+    ``reachable`` False cuts the input off the unstable block: not stabilizable.
 
     Returns
     -------
@@ -87,11 +82,7 @@ def check_convergence(effort: Effort, reachable: bool = True) -> Evidence:
 def check_peaking(effort: Effort, known: bool = False) -> Evidence:
     """Look whether the median run's state grows at least tenfold before it settles.
 
-    Parameters
-    ----------
-    effort : Effort
-    known : bool
-        Control the same plants with a model that is right, and held, from the first step.
+    ``known``: control the same plants with a model that is right, and held, from the first step.
     """
     trace = known_plants(effort.seed, effort.cases) if known else unknown_plants(effort.seed, effort.cases, True)
     peak = np.max(np.linalg.norm(trace.z, axis=-1), axis=0)
