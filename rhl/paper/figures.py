@@ -59,12 +59,8 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
 def opening(trace: Trace) -> str:
     """Draw the linear example's output on the published one as HTML for the first page, whose style lets it move.
 
-    ``trace``: a run of ``published.linear_example()``.
-
-    Returns
-    -------
-    str
-        A figure with an inline SVG: one circle for each published sample, one path for our line.
+    The figure has an inline SVG: one circle for each published sample, one path for the trace of
+    ``published.linear_example()``.
 
     Examples
     --------

@@ -35,16 +35,8 @@ CURVES = {
 
 
 def curve(name: str) -> Array:
-    """Return a published curve, sample by sample from k = 0.
+    """Return a published curve, one of ``CURVES``, sample by sample from k = 0, shape (samples,).
 
-    ``name``: one of ``CURVES``.
-
-    Returns
-    -------
-    array, shape (samples,)
-
-    Notes
-    -----
     Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
 
     Examples
@@ -257,16 +249,11 @@ def check_length(trace: Trace, steps: int, n: int) -> None:
 
 
 def gamma_over_eps(*, printed: bool = False) -> Array:
-    r"""Compute figure 6 from the published outputs and inputs.
+    r"""Compute figure 6, shape (41,), from the published outputs and inputs.
 
     The figure takes Gamma one input later than the controller does:
     :math:`(|y(k)|^2 + \dots + |y(k-3)|^2 + |v(k)|^2 + |v(k-1)|^2 + |v(k-2)|^2) / \epsilon(k)`.
-
     ``printed``: take the text's eps rate, 1000, instead of the data's, 100.
-
-    Returns
-    -------
-    array, shape (41,)
 
     Examples
     --------

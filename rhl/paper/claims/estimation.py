@@ -151,11 +151,7 @@ def omegas(record: Estimates, k: int, N: int, truth: SignalModel) -> Array:
         2\sum_{j<i} c_{ij} \sigma_j^2 \|A^j\|^2,\quad
         \sum_{j<i} c_{ij} \sigma_j^2 \bigl(1 + 2j \max_{l<j}\|A^{l}B\|^2\bigr).
 
-    ``k``, ``N``: k + N must not exceed the number of steps.
-
-    Returns
-    -------
-    array, shape (3,)
+    k + N must not exceed the number of steps.
     """
     model, exact = record.models[k], truth.predictor(N)
     growth = np.linalg.norm(model.predictor(N).A, ord=2, axis=(1, 2)) ** 2

@@ -44,15 +44,10 @@ class KalmanForm:
 def kalman_form(
     rng: np.random.Generator, p: int, q: int, sizes: tuple[int, int, int], hidden_radius: float = 0.8
 ) -> KalmanForm:
-    """Draw a plant of the form (52).
+    """Draw a plant of the form (52), again and again until the observability matrix of (53) is well conditioned.
 
     ``sizes`` are those of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
     ``hidden_radius``: spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
-
-    Returns
-    -------
-    KalmanForm
-        Redrawn until the observability matrix of (53) is well conditioned.
     """
     n1, n2, _ = sizes
     n = sum(sizes)

@@ -37,13 +37,10 @@ def random_weight(rng: np.random.Generator, n: int) -> Array:
 
 
 def stacked_form(maps: PredictorMaps, Q: Array, R: Array) -> tuple[Array, Array, Array]:
-    """Write V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
+    """Return H, C and B of V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
 
-    Returns
-    -------
-    H, C, B : array
-        For w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are
-        predicted to be, and xi_N = r.
+    w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are predicted to be,
+    and xi_N = r.
     """
     N, n, q = maps.horizon, maps.n, maps.q
     width = n + q
@@ -108,11 +105,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
 def polarise(value: Callable[[Array], float], size: int) -> Array:
     """Return the symmetric S with value(p) = p'Sp, from values alone: S_ab = (value(a + b) - value(a - b)) / 4.
 
-    ``value``: from an array of shape (size,); what it returns is checked by whoever asks.
-
-    Returns
-    -------
-    array, shape (size, size)
+    ``value`` takes arrays of shape (size,); what it returns is checked by whoever asks.
     """
     eye = np.eye(size)
     S = np.array([[(value(a + b) - value(a - b)) / 4 for b in eye] for a in eye])

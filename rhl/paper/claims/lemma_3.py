@@ -38,14 +38,9 @@ def draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array, Array, 
 def ratio(
     maps: PredictorMaps, Q: Array, R: Array, QN: Array, x: Array, epsilon: float, gamma_factor: float
 ) -> tuple[float, float]:
-    """Return (x_N'Q_N x_N - V2) / (epsilon rho) for Gamma = gamma_factor * size of V2's solution, and its rounding.
+    """Return (x_N'Q_N x_N - V2) / (epsilon rho), at most 1 by the lemma, and its rounding.
 
-    ``gamma_factor``: 1 makes Gamma as small as the lemma allows for c = 1.
-
-    Returns
-    -------
-    float, float
-        The lemma says that the first is at most 1.
+    Gamma is gamma_factor times the size of V2's solution; 1 makes it as small as the lemma allows for c = 1.
     """
     best = solve(V2(maps, QN, maps.horizon), x)
     gamma = gamma_factor * size_of(best)

@@ -39,14 +39,9 @@ def is_controllable(A: Any, B: Any) -> bool:
 def random_pairs(
     rng: np.random.Generator, n: int, q: int, count: int, controllable: bool = True
 ) -> Iterator[tuple[Pair, Pair]]:
-    """Draw integer pairs: the first not controllable, the second controllable (or not, for the control).
+    """Yield integer pairs (A_u, B_u), not controllable, and (A_c, B_c), ``controllable`` or not (for the control).
 
-    ``controllable``: whether the second pair is to be controllable.
-
-    Yields
-    ------
-    (A_u, B_u), (A_c, B_c)
-        The uncontrollable modes sit in random integer coordinates of determinant one.
+    The uncontrollable modes sit in random integer coordinates of determinant one.
     """
     made = 0
     while made < count:
@@ -78,13 +73,8 @@ def crossing_pairs(n: int, roots: Sequence[Fraction]) -> tuple[tuple[Any, Any], 
 
     With A(lambda) = diag(alpha_i(lambda)) and B(lambda) = (beta_i(lambda)), all straight lines, the determinant of
     the controllability matrix is the product of all beta_i and of all alpha_j - alpha_i: n(n+1)/2 linear factors.
-
-    ``roots``: where beta_1, ..., beta_n vanish; one of them at 0.
-
-    Returns
-    -------
-    (A_u, B_u), (A_c, B_c)
-        Lists of lists of Fraction. The lines alpha_i cross pairwise inside (0, 1), at different places.
+    ``roots`` are where beta_1, ..., beta_n vanish; one of them at 0. The lines alpha_i cross pairwise inside (0, 1), at
+    different places. A and B are lists of lists of Fraction.
     """
     # Squares break the symmetry that would let three lines cross in one point.
     start = [Fraction(i * i + i, n * n) for i in range(n)]
