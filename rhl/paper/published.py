@@ -94,9 +94,9 @@ class Experiment:
 def linear_example(*, printed: bool = False) -> Experiment:
     """Return the linear example, equation (23), figures 2 to 6.
 
-    ``printed`` False: the settings behind the published curves, eps(k) = 1/(1+100k). True: eps(k) = 1/(1+1000k), as the
-    text prints. What the text leaves open (initial model, one step of delay between estimate and control) is the same
-    in both.
+    By default it has the settings behind the published curves, eps(k) = 1/(1+100k); ``printed`` takes 1/(1+1000k), as
+    the text prints. What the text leaves open (initial model, one step of delay between estimate and control) is the
+    same in both.
 
     Examples
     --------

@@ -36,18 +36,11 @@ def regressor_matrix(x: Array, u: Array) -> Array:
 class Estimates:
     """What (15) makes of recorded signals.
 
-    Attributes
-    ----------
-    x : array, shape (K+1, n)
-        x(0), ..., x(K); zero before.
-    u : array, shape (K, q)
-        u(0), ..., u(K-1); zero before.
-    window : int
-        The paper's N bar.
-    best : sequence of SignalModel
-        theta*(1), ..., theta*(K); entry k - 1 belongs to k.
-    models : sequence of SignalModel
-        theta~(0), ..., theta~(K).
+    ``x`` (K+1, n): x(0), ..., x(K); zero before.
+    ``u`` (K, q): u(0), ..., u(K-1); zero before.
+    ``window``: the paper's N bar.
+    ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
+    ``models``: theta~(0), ..., theta~(K).
     """
 
     x: Array
@@ -83,7 +76,7 @@ class Estimates:
 
 
 def estimate(x: Array, u: Array, initial: SignalModel, window: int, mixing: Array, first: int = 1) -> Estimates:
-    """Run the estimator (15) with squares on recorded signals.
+    """Run the estimator (15) with squares on recorded x, shape (K+1, n), and u, shape (K, q).
 
     ``initial``: theta~(0).
     ``mixing`` (K,): lambda_1, ..., lambda_K.

@@ -16,13 +16,9 @@ from rhl.plants.analysis import observability, pbh, spectral_radius
 class KalmanForm:
     """A plant in the block form of equation (52), before a change of coordinates hides it.
 
-    Attributes
-    ----------
-    F, G, H : array
-        z = [z_1; z_2; z_3]: controllable and observable; observable, stable, not controllable; stable, not
-        observable.
-    sizes : tuple of int
-        Of the three blocks.
+    ``F``, ``G``, ``H``: z = [z_1; z_2; z_3]: controllable and observable; observable, stable, not controllable; stable,
+    not observable.
+    ``sizes``: of the three blocks.
     """
 
     F: Array

@@ -105,7 +105,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
 def polarise(value: Callable[[Array], float], size: int) -> Array:
     """Return the symmetric S with value(p) = p'Sp, from values alone: S_ab = (value(a + b) - value(a - b)) / 4.
 
-    ``value`` takes arrays of shape (size,); what it returns is checked by whoever asks.
+    S has shape (size, size). ``value`` takes arrays of shape (size,); what it returns is checked by whoever asks.
     """
     eye = np.eye(size)
     S = np.array([[(value(a + b) - value(a - b)) / 4 for b in eye] for a in eye])
@@ -137,14 +137,8 @@ def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
 def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
     """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols x, r, a1, a2, b0, b1, Q, R.
 
-    ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
-
-    Returns
-    -------
-    solutions : list of dict
-        For v0, v1 and the multiplier mu.
-    curvature : sympy expression
-        The objective's second derivative along (1, -b1/b0), the one direction that leaves xi_2 as it is.
+    Returns the solutions, for v0, v1 and the multiplier mu, and the objective's second derivative along (1, -b1/b0),
+    the one direction that leaves xi_2 as it is. ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
     """
     import sympy as sp  # here, because it takes a while to load
 

@@ -38,7 +38,7 @@ def draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array, Array, 
 def ratio(
     maps: PredictorMaps, Q: Array, R: Array, QN: Array, x: Array, epsilon: float, gamma_factor: float
 ) -> tuple[float, float]:
-    """Return (x_N'Q_N x_N - V2) / (epsilon rho), at most 1 by the lemma, and its rounding.
+    """Return (x_N'Q_N x_N - V2) / (epsilon rho), at most 1 by the lemma, and its rounding, from x, shape (n,).
 
     Gamma is gamma_factor times the size of V2's solution; 1 makes it as small as the lemma allows for c = 1.
     """

@@ -24,14 +24,9 @@ _SETTLED = 1e-2
 class Loop:
     """A closed loop of V1 and x+ = Ax + Bu, many systems at once.
 
-    Attributes
-    ----------
-    x : array, shape (steps + 1, systems, n)
-    u : array, shape (steps, systems, q)
-    r : array, shape (steps, systems, n)
-        The planned terminal states x_N(k).
-    best : array, shape (steps, systems)
-        V2(x(k)), the least terminal value that can be planned.
+    ``x`` (steps + 1, systems, n), ``u`` (steps, systems, q): states and inputs.
+    ``r`` (steps, systems, n): the planned terminal states x_N(k).
+    ``best`` (steps, systems): V2(x(k)), the least terminal value that can be planned.
     """
 
     x: Array
@@ -45,14 +40,8 @@ def close(
 ) -> Loop:
     """Close the loop of V1 and the system that its predictor is, equations (2) to (4), with Gamma = x'x.
 
-    ``model``: batch of systems; also the predictor.
-    ``epsilon``: k -> epsilon(k).
+    ``model`` is a batch of systems, x0, shape (systems, n), their states; Q = Q_N = I and R = 100 I for all of them.
     ``horizon``: N; the order n where omitted, the least that Assumption 3 allows.
-
-    Returns
-    -------
-    Loop
-        With Q = Q_N = I and R = 100 I, the same for every system.
     """
     N = model.n if horizon is None else horizon
     x, states, inputs, ends, best = x0, [x0], [], [], []
@@ -125,17 +114,11 @@ def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
 class Changing:
     """A closed loop of V1 with N = 1 and x+ = a x + u, whose predictor a x + b(k) u changes; many systems at once.
 
-    Attributes
-    ----------
-    x : array, shape (steps + 1, systems)
-    plan_gain : array, shape (steps, systems)
-        Largest gain of V1's plan, which Assumption 5(b) wants bounded.
-    error : array, shape (steps, systems)
-        |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
-    least : array, shape (steps, systems)
-        V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
-    least_gain : array, shape (steps, systems)
-        Gain of V2's least-norm solution, on which Assumption 5 says nothing.
+    ``x`` (steps + 1, systems): states.
+    ``plan_gain`` (steps, systems): largest gain of V1's plan, which Assumption 5(b) wants bounded.
+    ``error`` (steps, systems): |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
+    ``least`` (steps, systems): V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
+    ``least_gain`` (steps, systems): gain of V2's least-norm solution, on which Assumption 5 says nothing.
     """
 
     x: Array
@@ -169,13 +152,7 @@ def change(
 ) -> Changing:
     """Close the loop of V1, N = 1 and all weights one, with x+ = a x + u and the changing predictor a x + b(k) u.
 
-    ``b``: (k, a) -> b(k), shape (systems,).
-    ``epsilon``: k -> epsilon(k).
-
-    Returns
-    -------
-    Changing
-        While x is not zero.
+    ``b``: (k, a) -> b(k), shape (systems,). The ratios are defined while x is not zero.
     """
     x, states, rows = np.asarray(x0, dtype=np.float64), [np.asarray(x0, dtype=np.float64)], []
     for k in range(steps):

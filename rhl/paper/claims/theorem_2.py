@@ -30,14 +30,9 @@ _SETTLED = 1e-6
 
 
 def example_transitions(trace: Trace, first: int) -> tuple[Array, Array]:
-    """Return regressors [x(j-1); u(j-1)] and successors x(j) of a run, j = first, first + 1, ..., zero before k = 0.
+    """Return a run's regressors [x(j-1); u(j-1)] and successors x(j), j = first, first + 1, ..., zero before k = 0.
 
-    ``trace`` is of one run.
-    ``first``: 0 for the transition into x(0).
-
-    Returns
-    -------
-    regressors, successors : array, shapes (transitions, n + q) and (transitions, n)
+    ``first``: 0 for the transition into x(0). Shapes (transitions, n + q) and (transitions, n).
     """
     lifting, steps = trace.scheme.lifting, len(trace)
     pad = lifting.outputs + 1
@@ -74,15 +69,9 @@ def check_settles_outside(effort: Effort, fitted: bool = False) -> Evidence:
 
 
 def example_record(trace: Trace) -> tuple[Estimates, SignalModel]:
-    """Return a run's lifted signals and estimates, and the one (A, B) that fits its transitions from x(3) on.
+    """Return the linear example's lifted signals and estimates, and the (A, B) that fits its transitions from x(3) on.
 
-    ``trace`` is of the linear example.
-
-    Returns
-    -------
-    record : Estimates
-    truth : SignalModel
-        Of least norm, if more than one fits.
+    There is one such (A, B), or else it is that of least norm.
     """
     regressors, successors = example_transitions(trace, 1)
     n = trace.scheme.initial_model.n
@@ -97,17 +86,11 @@ def example_record(trace: Trace) -> tuple[Estimates, SignalModel]:
 def draw_estimates(
     rng: np.random.Generator, steps: int = 30, noise: float = 0.0, decay: float = 1.0, silent: bool = False
 ) -> tuple[Estimates, SignalModel, float]:
-    """Run the estimator on a random trajectory of a random signal model, with random mixing.
+    """Run the estimator on a random trajectory of a random signal model; return estimates, truth and lambda_max.
 
     ``noise``: added to the signals, which then obey no signal model.
     ``decay``: by which the inputs shrink from step to step.
     ``silent``: no inputs at all. Otherwise exciting ones, ones in one direction, or none.
-
-    Returns
-    -------
-    record : Estimates
-    truth : SignalModel
-    lambda_max : float
     """
     n, q, window = (int(size) for size in rng.integers(1, 4, 3))
     lambda_max = float(rng.choice([0.0, 0.5, 0.9]))
@@ -200,13 +183,8 @@ def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
 def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
     """Predict two steps ahead on x(k) = 1, A = 1, B = 1, u = 0, with a second input that is planned but not applied.
 
-    ``second``: that input; zero is what is applied.
-
-    Returns
-    -------
-    Evidence
-        The squared error of the last estimate over the sum of squares of state and inputs; (8) wants it to vanish, the
-        state being constant and the residual zero.
+    The evidence is the squared error of the last estimate over the sum of squares of state and inputs; (8) wants it to
+    vanish, the state being constant and the residual zero. ``second`` is that input; zero is what is applied.
     """
     truth = SignalModel(np.ones((1, 1)), np.ones((1, 1)))
     u = np.zeros((200, 1))

@@ -29,17 +29,10 @@ _STEPS = 400
 
 
 def random_plants(rng: np.random.Generator, count: int, reachable: bool = True) -> tuple[LinearPlant, Array]:
-    """Draw a batch of plants of order 3 with initial states of length one.
+    """Draw plants of order 3, one input and one output, with initial states of length one, shape (count, 3).
 
-    Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches.
-
-    ``reachable`` False cuts the input off the unstable block: not stabilizable.
-
-    Returns
-    -------
-    LinearPlant
-        Of shapes (count, 3, 3), (count, 3, 1), (count, 1, 3).
-    array, shape (count, 3)
+    Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches. ``reachable``
+    False cuts the input off the unstable block: not stabilizable.
     """
     forms = [kalman_form(rng, 1, 1, (2, 1, 0)) for _ in range(count)]
     F, G, H = (np.stack([getattr(form, name) for form in forms]) for name in "FGH")
