@@ -53,10 +53,8 @@ def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None
 def numbers(value: Any) -> Array:
     """Return what a user's function returned as float64, NaN and infinity included.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If it holds complex numbers, which numpy would cut down to the real part, strings, which it would read, or None.
+    TypeError or ValueError if it holds complex numbers, which numpy would cut down to the real part, strings, which it
+    would read, or None.
     """
     raw = np.asarray(value)
     if raw.dtype.kind not in "iufO":

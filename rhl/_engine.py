@@ -21,7 +21,7 @@ class Block:
     Attributes
     ----------
     members : slice
-        Which.
+        Which members.
     plant : tuple of arrays
         [F G] and [H 0]; without rows where the plant is the caller's.
     z : array, shape (n + q, lanes)
@@ -51,18 +51,10 @@ def serves(scheme: Scheme) -> bool:
 
 
 def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Array] | None, z: Array) -> list[Block]:
-    """Return the blocks of a batch before k = 0.
+    """Return the blocks of a batch with axes ``lead`` before k = 0, for a scheme that the compiled loop serves.
 
-    Parameters
-    ----------
-    scheme : Scheme
-        One that the compiled loop serves.
-    lead : tuple of int
-        The batch axes.
-    plant : tuple of arrays or None
-        F, G, H, with batch axes or without; None where the plant is the caller's.
-    z : array, shape (..., n)
-        z(0).
+    ``plant`` is F, G, H, with batch axes or without, or None where the plant is the caller's; z, shape (..., n), is
+    z(0).
     """
     model, estimator, controller, q = scheme.initial_model, scheme.estimator, scheme.controller, scheme.q
     theta = to_lanes(np.concatenate([model.A, model.B], axis=-1), lead, 2)
@@ -100,19 +92,9 @@ def run(
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
     """Run a block for as many steps as there are values of epsilon, from step ``first``.
 
-    Parameters
-    ----------
-    lifted : array, shape (steps, n, lanes), or None
-        x(k), where the plant is the caller's.
-    keep : bool
-        Whether to keep the models.
-
-    Returns
-    -------
-    (y, v, z) : arrays, shapes (steps, size, lanes)
-        Without entries in y and z where the plant is the caller's.
-    (estimate, model) : arrays, shapes (steps, n, n + q, lanes)
-        theta*(k) and theta~(k); without steps where they are not kept.
+    ``lifted``, shape (steps, n, lanes), is x(k) where the plant is the caller's, else None. Returns (y, v, z), shapes
+    (steps, size, lanes), without entries in y and z where the plant is the caller's; and theta*(k) and theta~(k),
+    shapes (steps, n, n + q, lanes), without steps unless ``keep``.
     """
     from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
 

@@ -23,13 +23,7 @@ def header(p: int, q: int, n: int) -> list[str]:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file so that no reader ever sees half of it; text goes out as UTF-8.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-    """
+    """Write a file so that no reader ever sees half of it, text as UTF-8; InputError if it cannot be written."""
     data = content.encode() if isinstance(content, str) else content
     try:
         target = Path(path).resolve()  # through a link to what it names

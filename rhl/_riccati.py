@@ -55,16 +55,8 @@ def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizo
 def rollout(A: Array, B: Array, K: Array, push: Array, x: Array) -> tuple[Array, Array]:
     """Follow u_i = push_i - K_i x_i from x; return u, shape (..., N, q), and x_0 ... x_N, shape (..., N+1, n).
 
-    Parameters
-    ----------
-    A, B : array, shapes (..., n, n) and (..., n, q)
-        One stage's step.
-    K : array, shape (..., N, q, n)
-        Gains.
-    push : array, shape (..., N, q)
-        What is added.
-    x : array, shape (..., n)
-        Where it begins.
+    A and B, shapes (..., n, n) and (..., n, q), are one stage's step; K has shape (..., N, q, n), push (..., N, q), and
+    x, the start, (..., n).
     """
     from rhl.kernels import loops
 
@@ -80,15 +72,10 @@ def rollout(A: Array, B: Array, K: Array, push: Array, x: Array) -> tuple[Array,
 def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:
     """Return the shortest w that brings ``steering`` @ w as near to ``wanted`` as it can be, shape (..., columns).
 
-    Parameters
-    ----------
-    steering : array, shape (..., rows, columns)
-        How the terminal state follows w.
-    wanted : array, shape (..., rows)
-        What it is to be.
-    noise : array, shape (..., columns)
-        For each column, the size of the products it was computed from. A direction counts as steerable if its singular
-        value exceeds their rounding, which reaches it through the columns that it uses.
+    ``steering``, shape (..., rows, columns), is how the terminal state follows w, ``wanted``, shape (..., rows), what
+    it is to be, and ``noise``, shape (..., columns), for each column the size of the products it was computed from. A
+    direction counts as steerable if its singular value exceeds their rounding, which reaches it through the columns
+    that it uses.
     """
     left, size, right = np.linalg.svd(steering, full_matrices=False)
     kept = size > _RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1)

@@ -35,19 +35,8 @@ class Basis(Protocol):
 class Polynomials:
     """All monomials of degree 2 to ``degree`` in the entries of the stacked outputs.
 
-    Parameters
-    ----------
-    degree : int
-        At least 2; degree 1 is what every lifting has.
-
-    Raises
-    ------
-    InputError
-        If the degree is not an integer of at least 2.
-
-    Notes
-    -----
-    Source: Remark 3, Carleman's embedding. ``rhl.paper.claims`` checks that the paper's example of it is exact.
+    The degree is at least 2; degree 1 is what every lifting has. Source: Remark 3, Carleman's embedding;
+    ``rhl.paper.claims`` checks that the paper's example of it is exact.
 
     Examples
     --------
@@ -88,20 +77,9 @@ _FACTOR = re.compile(
 class Terms:
     """Single products of outputs, written as strings: ``"y1*y2"``, ``"y1^3"``, ``"y1*y2(k-1)"``, ``"sin(y1)"``.
 
-    Parameters
-    ----------
-    texts : tuple of str
-        Each a product of factors; a factor is an output ``y1``, ``y2``, ... with an optional delay ``(k-1)``, under
-        sin or tanh if wished, and with an optional whole exponent.
-
-    Raises
-    ------
-    InputError
-        If a string is no such product, uses an input (``v1``), or is not zero at zero.
-
-    Notes
-    -----
-    Inputs may not be used: the scheme reads v(k) off u(k), and equation (14) keeps outputs and inputs apart.
+    A factor is an output ``y1``, ``y2``, ... with an optional delay ``(k-1)``, under sin or tanh if wished, and with an
+    optional integer exponent. InputError if a string is no such product, uses an input (``v1``), or is not zero at
+    zero. Inputs may not be used: the scheme reads v(k) off u(k), and equation (14) keeps outputs and inputs apart.
 
     Examples
     --------
@@ -183,18 +161,15 @@ def _factor(text: str, part: str) -> tuple[str, int, int, int]:
 class Features:
     """Functions of the user's own.
 
+    InputError if ``function`` does not take one argument; later, if it returns another shape, or is not zero at zero.
+    What it raises itself is let through, with a note where it was called.
+
     Parameters
     ----------
     function : callable
         The stacked outputs w(k), shape (N_y p,) -> phi(w), shape (size,); zero at w = 0.
     size : int
         How many numbers it returns.
-
-    Raises
-    ------
-    InputError
-        If it is not a function of one argument; later, if it returns another shape, or is not zero at zero. What it
-        raises itself is let through, with a note where it was called.
     """
 
     function: Callable[[Array], ArrayLike]

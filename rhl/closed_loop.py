@@ -29,10 +29,8 @@ class ControllerState:
     ----------
     k : int
         The step about to be taken.
-    y : array, shape (..., T, p)
-        y(k-1), y(k-2), ...; zero before k = 0.
-    v : array, shape (..., T, q)
-        v(k-1), v(k-2), ..., as applied; zero before k = 0.
+    y, v : array, shapes (..., T, p) and (..., T, q)
+        y(k-1), y(k-2), ... and v(k-1), v(k-2), ..., as applied; zero before k = 0.
     model : SignalModel
         theta~(k-1).
     stage : array of int, shape (...), or None
@@ -146,15 +144,10 @@ def start(scheme: Scheme) -> ControllerState:
 
 
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
-    """Take one step of the scheme: from y(k) to v(k).
+    """Take one step of the scheme, from the measured y(k), shape (..., p), to v(k).
 
-    Parameters
-    ----------
-    scheme : Scheme
-    state : ControllerState
-        From ``start`` or ``advance``.
-    y : array_like, shape (..., p)
-        The output measured at k.
+    The state is from ``start`` or ``advance``. InputError if y has another size, or a function of the user's own
+    misbehaves.
 
     Raises
     ------
@@ -164,8 +157,6 @@ def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
         If the lambda-search finds no candidate.
     NotSolvedError
         If the estimator's problem is not quadratic and its answer misses the certificate.
-    InputError
-        If y has another size, or a function of the user's own misbehaves.
     """
     instance("scheme", scheme, Scheme)
     instance("state", state, ControllerState)
@@ -308,20 +299,10 @@ def _run(
 
 
 def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
-    """Feed recorded outputs and inputs to the scheme; each step tells what it would have done.
+    """Feed recorded y, shape (steps, ..., p), and v, shape (steps, ..., q), to the scheme: what it would have done.
 
-    Parameters
-    ----------
-    scheme : Scheme
-    y : array_like, shape (steps, ..., p)
-        Recorded outputs y(0), y(1), ...
-    v : array_like, shape (steps, ..., q)
-        Recorded inputs, which are taken as applied, whatever the scheme computes.
-
-    Yields
-    ------
-    Step
-        ``v_computed`` is what the scheme computes from the record up to k, ``v_applied`` the record's input.
+    The inputs are taken as applied, whatever the scheme computes. In each step ``v_computed`` is what the scheme
+    computes from the record up to k, ``v_applied`` the record's input.
     """
     instance("scheme", scheme, Scheme)
     y, v = real_array("y", y, (None, scheme.p)), real_array("v", v, (None, scheme.q))

@@ -21,22 +21,16 @@ _MET_RTOL = 1e-10
 class LinearConstraints:
     r"""Linear equalities :math:`M \theta = b` of the signal model, :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`.
 
+    Source: the last remark of Section V, that a priori knowledge enters as constraints of the estimator. Mixing keeps
+    the equalities, since it stays on the line between two models that satisfy them. InputError if shapes do not fit
+    each other, or the equalities contradict each other.
+
     Parameters
     ----------
     M : array_like, shape (rows, n (n + q))
         One row for each equality, in the order of ``SignalModel.theta``.
     b : array_like, shape (rows,)
         Right-hand sides.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit each other, or the equalities contradict each other.
-
-    Notes
-    -----
-    Source: the last remark of Section V, that a priori knowledge enters as constraints of the estimator. Mixing keeps
-    the equalities, since it stays on the line between two models that satisfy them.
 
     Examples
     --------
@@ -72,24 +66,7 @@ class LinearConstraints:
 
     @classmethod
     def entries(cls, A: ArrayLike, B: ArrayLike) -> LinearConstraints:
-        """Know single entries of A and B; NaN stands for an unknown one.
-
-        Parameters
-        ----------
-        A : array_like, shape (n, n)
-            Known entries, NaN elsewhere.
-        B : array_like, shape (n, q)
-            Known entries, NaN elsewhere.
-
-        Returns
-        -------
-        LinearConstraints
-
-        Raises
-        ------
-        InputError
-            If shapes do not fit, or an entry is infinite or no number.
-        """
+        """Know single entries of A, shape (n, n), and B, shape (n, q); NaN stands for an unknown one."""
         try:
             found = A
             A = numbers(found)
@@ -108,19 +85,8 @@ class LinearConstraints:
         r"""Know the rows of a delay-lifted model that only move outputs along.
 
         Of :math:`x(k+1) = [y(k+1); y(k); \dots; y(k-N_y+2)]` all but the first p entries are entries of x(k): these
-        rows of [A B] hold zeros and ones.
-
-        Parameters
-        ----------
-        p, q : int
-            Sizes of y and v.
-        outputs, inputs : int
-            :math:`N_y` and :math:`N_v`.
-
-        Returns
-        -------
-        LinearConstraints
-            No equality at all where ``outputs`` is 1.
+        rows of [A B] hold zeros and ones. y has size p and v size q, ``outputs`` is :math:`N_y` and ``inputs`` is
+        :math:`N_v`; where :math:`N_y = 1` there is no equality at all.
         """
         for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
             integer(name, value, 1)
@@ -148,17 +114,9 @@ class LinearConstraints:
         return {}
 
     def within_rows(self, n: int) -> list[Array] | None:
-        """Return the directions in which each of the n rows of [A B] may move, if no equality couples two rows.
+        """Return orthonormal bases, shapes (n + q, freedom), of the directions in which each row of [A B] may move.
 
-        Parameters
-        ----------
-        n : int
-            How many rows [A B] has; theta holds them column by column.
-
-        Returns
-        -------
-        list of arrays, shapes (n + q, freedom), or None
-            Orthonormal bases.
+        None if an equality couples two of the n rows.
         """
         if n not in self._within_rows:
             by_row = self.M.reshape(len(self.M), self.M.shape[1] // n, n)
@@ -169,13 +127,7 @@ class LinearConstraints:
         return self._within_rows[n]
 
     def check(self, name: str, model: SignalModel) -> None:
-        """Refuse a model that is of another size, or that does not satisfy the equalities.
-
-        Raises
-        ------
-        InputError
-            With the largest violation.
-        """
+        """Raise InputError, with the largest violation, if a model has another size or violates the equalities."""
         instance(name, model, SignalModel)
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:

@@ -58,17 +58,7 @@ class Mixing(Protocol):
 
 @dataclass(frozen=True)
 class ConstantMixing:
-    """The same lambda at every step; 0 is no mixing.
-
-    Parameters
-    ----------
-    lam : float
-        In [0, 1).
-
-    Raises
-    ------
-    InputError
-        If lam is outside [0, 1).
+    """The same lambda at every step, ``lam`` in [0, 1); 0 is no mixing.
 
     Examples
     --------
@@ -93,23 +83,9 @@ Count = Literal["lemma", "sharp"]
 def candidates(n: int, lambda_max: float, count: Count = "lemma") -> Array:
     """Return equidistant weights in (0, lambda_max), as many as are sure to hold one that keeps controllability.
 
-    Parameters
-    ----------
-    n : int
-        Order of the pair.
-    lambda_max : float
-        In (0, 1).
-    count : {"lemma", "sharp"}
-        2 n^2 + 1 of them, as Lemma 5 has it, or n(n+1)/2, which are enough where the estimate itself is not
-        controllable, and no fewer are.
-
-    Returns
-    -------
-    array, shape (count,)
-
-    Notes
-    -----
-    Source: Lemma 5; the sharp count is this project's observation, proved in the book.
+    For a pair of order n these are 2 n^2 + 1, as Lemma 5 has it ("lemma"), or n(n+1)/2 ("sharp"), which are enough
+    where the estimate itself is not controllable, and no fewer are: this project's observation, proved in the book.
+    InputError if lambda_max is outside (0, 1).
 
     Examples
     --------
@@ -130,14 +106,14 @@ class LambdaSearch:
 
     If the estimate's margin reaches ``least_margin``, lambda is 0. Otherwise the candidates in
     :math:`(0, \lambda_{max})` are tried, :math:`2n^2+1` of them as in the lemma, which says that at least one gives a
-    controllable pair, because
-    :math:`\det(C C^\top)` is a polynomial of degree at most :math:`2n^2` in lambda.
+    controllable pair, because :math:`\det(C C^\top)` is a polynomial of degree at most :math:`2n^2` in lambda.
+    Source: Lemma 5 (Lemma 4 where Lemma 1, set in the revision's colour, is not counted) and Theorem 2(iii).
 
     Parameters
     ----------
     pair : {"lifted", "augmented"}
-        Whose controllability is kept: the lifted pair, as in Theorem 2(iii), or Remark 4's augmented pair, which is
-        the one that the controller uses. The first does not give the second.
+        Whose controllability is kept: the lifted pair's, as in Theorem 2(iii), or that of Remark 4's augmented pair,
+        which the controller uses. The first does not give the second.
     rule : {"first", "best"}
         Take the first candidate that reaches the margin (the paper's), or the one with the largest margin.
     lambda_max : float
@@ -146,15 +122,6 @@ class LambdaSearch:
         What counts as controllable in floating point: the smallest singular value of the controllability matrix.
     count : {"lemma", "sharp"}
         How many candidates are tried: :math:`2n^2+1` as in the lemma, or the sharp :math:`n(n+1)/2`.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range.
-
-    Notes
-    -----
-    Source: Lemma 5 (Lemma 4 where Lemma 1, set in the revision's colour, is not counted) and Theorem 2(iii).
 
     Examples
     --------
@@ -179,25 +146,10 @@ class LambdaSearch:
         positive("least_margin", self.least_margin)
 
     def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
-        """Search lambda for every member of the batch.
+        """Search lambda, shape (...), for every member of the batch; LostControllabilityError if no candidate will do.
 
-        Parameters
-        ----------
-        estimate : SignalModel
-            theta*(k), perhaps not controllable.
-        previous : SignalModel
-            theta~(k-1), controllable.
-        augment : callable
-            Remark 4's augmentation; called where ``pair`` is "augmented".
-
-        Returns
-        -------
-        array, shape (...)
-
-        Raises
-        ------
-        LostControllabilityError
-            If no candidate reaches the margin.
+        ``estimate`` is theta*(k), perhaps not controllable, ``previous`` is theta~(k-1), controllable, and ``augment``
+        is Remark 4's augmentation, called where ``pair`` is "augmented".
         """
         view: Augment = augment if self.pair == "augmented" else lambda model: model
         lost = ~(controllability_margin(view(estimate)) >= self.least_margin)

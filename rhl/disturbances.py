@@ -20,22 +20,15 @@ Disturbances = Disturbance | tuple[Disturbance, ...]
 
 @dataclass(frozen=True, eq=False)
 class Saturation:
-    """An actuator that clips the input to a box.
+    """An actuator that clips the input to a box, InputError if low is not below high.
+
+    Outside the theory: nothing in the paper says that the loop converges under saturation. An unstable plant cannot be
+    brought back from everywhere by a bounded input, whatever the controller.
 
     Parameters
     ----------
     low, high : float or array_like, shape (q,)
-        Bounds, in the units of the input; low below high.
-
-    Raises
-    ------
-    InputError
-        If a bound is not finite, or low is not below high.
-
-    Notes
-    -----
-    Outside the theory: nothing in the paper says that the loop converges under saturation. An unstable plant cannot be
-    brought back from everywhere by a bounded input, whatever the controller.
+        Bounds, finite, in the units of the input.
 
     Examples
     --------
@@ -74,12 +67,7 @@ class GaussianNoise:
     std : float or array_like, shape (p,)
         Standard deviation, in the units of the output; not negative.
     seed : int
-        Where the errors come from; that of step k depends on (seed, k) only.
-
-    Raises
-    ------
-    InputError
-        If a deviation is negative, or the seed is not an integer of at least 0.
+        Seed of the errors, at least 0; those of step k depend on (seed, k) only.
     """
 
     std: Array | float
@@ -101,7 +89,7 @@ class GaussianNoise:
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
-    """A sensor that now and then is wrong by far: at random, an entry of y is off by ``size`` or by -``size``.
+    """A sensor that is sometimes far off: at random, an entry of y is wrong by ``size`` or by -``size``.
 
     Parameters
     ----------
@@ -110,12 +98,7 @@ class Outliers:
     size : float
         How far off, in the units of the output.
     seed : int
-        Where the outliers come from; those of step k depend on (seed, k) only.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of range.
+        Seed of the outliers, at least 0; those of step k depend on (seed, k) only.
     """
 
     rate: float
@@ -142,28 +125,11 @@ def _one_each(name: str, value: Array | float, signal: Array, of: str) -> Array:
 
 
 def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) -> Array:
-    """Pass a signal through a disturbance, the user's own too, and check what comes out.
+    """Pass y or v, shape (..., size), through a disturbance, the user's own too, and check what comes out.
 
-    Parameters
-    ----------
-    name : str
-        What messages call it: "sensor" or "actuator".
-    disturbance : callable, tuple of callables, or None
-        Each of a tuple is fed by the one before; None passes the signal as it is.
-    k : int
-        The step.
-    signal : array, shape (..., size)
-        y or v.
-
-    Returns
-    -------
-    array, shape (..., size)
-
-    Raises
-    ------
-    InputError
-        If a disturbance returns another shape or numbers that are not finite. What one of the user's own raises is
-        let through, with a note where it was called.
+    Each of a tuple of disturbances is fed by the one before; None passes the signal as it is. ``name`` is what messages
+    call it, "sensor" or "actuator". InputError if the shape changes or a number is not finite. What a disturbance of
+    the user's own raises is let through, with a note where it was called.
     """
     if disturbance is None:
         return signal

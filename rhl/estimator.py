@@ -29,7 +29,7 @@ class ProximalEstimator:
     Parameters
     ----------
     window : int
-        :math:`\bar N`, the number of transitions x(j-1), u(j-1) -> x(j) that are fitted.
+        :math:`\bar N`, at least 1: the number of transitions x(j-1), u(j-1) -> x(j) that are fitted.
     loss : Convex or Varying
         c, of ``rhl.losses`` or of your own; weights: one number, or one for each of the window n residuals, newest
         transition first.
@@ -38,11 +38,6 @@ class ProximalEstimator:
         column.
     constraints : LinearConstraints, optional
         M and b, what is known of the model beforehand.
-
-    Raises
-    ------
-    InputError
-        If the window is not an integer of at least 1, or a loss or generator lacks a member.
 
     Warns
     -----
@@ -89,7 +84,8 @@ class ProximalEstimator:
         Parameters
         ----------
         centre : SignalModel
-            The proximal centre :math:`\tilde\theta(k-1)`; must satisfy the constraints.
+            The proximal centre :math:`\tilde\theta(k-1)`; must satisfy the constraints and lie in the generator's
+            domain.
         x : array, shape (..., window + 1, n)
             x(k), x(k-1), ..., x(k - window).
         u : array, shape (..., window, q)
@@ -97,15 +93,10 @@ class ProximalEstimator:
         k : int
             The step, for a loss that varies.
 
-        Returns
-        -------
-        SignalModel
-
         Raises
         ------
         InputError
-            If shapes or weights do not fit the model and the window, the centre does not satisfy the constraints or
-            lies outside the generator's domain, or a function of the user's own returns what it must not.
+            If shapes or weights do not fit, the centre is no such model, or a user's function returns what it must not.
         NotSolvedError
             If the answer to a problem that is not quadratic misses its certificate.
         """
@@ -119,19 +110,9 @@ class ProximalEstimator:
     def newton_decrement(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
         r"""Certify an answer: how far a model is from the minimiser of equation (15), recomputed from the problem.
 
-        Parameters
-        ----------
-        model : SignalModel
-            The answer.
-        centre, x, u, k
-            The problem, as in ``minimise``.
-
-        Returns
-        -------
-        array, shape (...)
-            :math:`\|\delta\|/\|\theta\|` with Newton's step :math:`\delta` and the metric
-            :math:`\nabla^2 g(\theta)`: the relative distance itself where c and g are quadratic, elsewhere but for
-            terms of second order. About 1e-16 is the best there is.
+        The problem is given as in ``minimise``. Returns :math:`\|\delta\|/\|\theta\|`, shape (...), with Newton's step
+        :math:`\delta` and the metric :math:`\nabla^2 g(\theta)`: the relative distance itself where c and g are
+        quadratic, elsewhere but for terms of second order. About 1e-16 is the best there is.
         """
         instance("model", model, SignalModel)
         loss, x, u = self._problem(centre, x, u, k)

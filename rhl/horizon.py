@@ -109,10 +109,8 @@ class V3:
     ----------
     model : SignalModel or PredictorMaps
         Predictor.
-    Q : float or array_like, shape (n, n)
-        Stage weight, symmetric positive definite.
-    R : float or array_like, shape (q, q)
-        Input weight, symmetric positive definite.
+    Q, R : float or array_like, shapes (n, n) and (q, q)
+        Stage and input weight, symmetric positive definite.
     r : array_like, shape (..., n)
         Terminal state asked for.
     horizon : int
@@ -218,18 +216,14 @@ class Plan:
 
 
 def solve(problem: Problem, x: ArrayLike) -> Plan:
-    r"""Solve V1, V2 or V3 from the signal x.
+    r"""Solve V1, V2 or V3, equations (3), (10), (11), from the signal x.
 
     Parameters
     ----------
     problem : V1, V2 or V3
-        The problem, equations (3), (10), (11).
+        The problem.
     x : array_like, shape (..., n)
         Present signal; leading axes broadcast with those of the model and the weights.
-
-    Returns
-    -------
-    Plan
 
     Raises
     ------

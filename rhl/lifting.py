@@ -103,20 +103,10 @@ class DelayLifting:
         return np.concatenate([stack, self.basis.features(stack, y_history.shape[-1])], axis=-1)
 
     def window(self, history: Array, depth: int, count: int, start: int = 0) -> Array:
-        r"""Stack ``depth`` consecutive rows, for ``count`` instants going back from row ``start``.
+        r"""Stack ``depth`` (:math:`\bar N_y` or :math:`\bar N_v`) consecutive rows, shape (..., count, depth * p).
 
-        Parameters
-        ----------
-        history : array, shape (..., T, p)
-            Newest first; InputError if it has fewer rows than that takes.
-        depth : int
-            Rows in one stack (:math:`\bar N_y` or :math:`\bar N_v`).
-        count, start : int
-            Number of stacks, and the row of the newest entry of the first.
-
-        Returns
-        -------
-        array, shape (..., count, depth * p)
+        Each of the ``count`` stacks is one instant older than the one before; row ``start`` is the newest entry of the
+        first. The history, shape (..., T, p), is newest first; InputError if it has fewer rows than that takes.
         """
         history = real_array("history", history, (None, None))
         needed = integer("start", start, 0) + integer("count", count, 1) + integer("depth", depth, 1) - 1

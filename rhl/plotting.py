@@ -85,18 +85,9 @@ def css() -> str:
 
 
 def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
-    """Make a figure of panels one below the other that share the step axis k.
+    """Make a figure of panels one below the other that share the step axis k, each ``height`` inches high.
 
-    Parameters
-    ----------
-    count : int
-        Number of panels.
-    height : float
-        Of each, in inches. The width is that of a phone held upright, where a point of type is then a pixel.
-
-    Returns
-    -------
-    figure, list of axes
+    The width is that of a phone held upright, where a point of type is then a pixel.
 
     Examples
     --------
@@ -191,26 +182,16 @@ class Picture:
 
 
 def show(draw: Callable[[], Figure], alt: str, caption: str = "") -> Picture:
-    """Draw a figure for both themes.
+    """Draw a figure for both themes; the last line of a notebook's cell shows it.
 
     Parameters
     ----------
     draw : callable
         Makes the figure; called once for each theme with its settings in force.
     alt : str
-        What is to be seen, in a sentence, for those who cannot see it.
+        What is to be seen, in a sentence, for those who cannot see it; InputError if it is not a sentence.
     caption : str
-        What is drawn, in a sentence, for everybody; every figure of the book has one.
-
-    Returns
-    -------
-    Picture
-        The last line of a notebook's cell shows it.
-
-    Raises
-    ------
-    InputError
-        If the alternative text, or a caption that is given, is not a sentence.
+        What is drawn, in a sentence too, for everybody; every figure of the book has one.
 
     Examples
     --------
@@ -228,10 +209,7 @@ def show(draw: Callable[[], Figure], alt: str, caption: str = "") -> Picture:
 def save(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: ThemeName = "light") -> None:
     """Draw a figure into an .svg, .pdf or .png file, on a white or a dark ground; the file appears whole.
 
-    Raises
-    ------
-    InputError
-        If the file has another ending or cannot be written, or the theme is not known.
+    InputError if the file has another ending or cannot be written, or the theme is not known.
 
     Examples
     --------

@@ -21,22 +21,15 @@ _LEAST = 1e-300
 class PowerDecay:
     r"""The schedule :math:`\epsilon(k) = (1 + \eta k)^{-p}`; p = 1 is the harmonic one of Section VI.
 
+    It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
+    that it is positive and tends to zero.
+
     Parameters
     ----------
     rate : float
         :math:`\eta`, positive. The text has 1000 (linear) and 10 (robot arm); the linear data were made with 100.
     power : float
         p, positive.
-
-    Raises
-    ------
-    InputError
-        If a parameter is not positive; epsilon has to tend to zero (Theorem 1).
-
-    Notes
-    -----
-    It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
-    that it is positive and tends to zero.
 
     Examples
     --------
@@ -62,20 +55,8 @@ class PowerDecay:
 
 @dataclass(frozen=True)
 class ExponentialDecay:
-    r"""The schedule :math:`\epsilon(k) = \rho^k`.
+    r"""The schedule :math:`\epsilon(k) = \rho^k` with ``factor`` :math:`\rho` in (0, 1).
 
-    Parameters
-    ----------
-    factor : float
-        :math:`\rho`, in (0, 1).
-
-    Raises
-    ------
-    InputError
-        If the factor is not in (0, 1).
-
-    Notes
-    -----
     It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
     that it is positive and tends to zero; a fast one leaves the terminal weight no time, see the book.
     """
@@ -94,20 +75,8 @@ class ExponentialDecay:
 
 @dataclass(frozen=True)
 class Constant:
-    r"""The schedule that never falls: ordinary receding horizon control with a fixed terminal weight.
+    """The schedule that never falls, ``value`` > 0: ordinary receding horizon control with a fixed terminal weight.
 
-    Parameters
-    ----------
-    value : float
-        epsilon, positive.
-
-    Raises
-    ------
-    InputError
-        If the value is not positive.
-
-    Notes
-    -----
     Theorem 1 asks that epsilon(k) tends to zero; this one does not, and a controller made with it says so.
     """
 
@@ -123,24 +92,10 @@ class Constant:
 
 
 def epsilon_at(schedule: Schedule, k: int) -> float:
-    """Evaluate a schedule, the user's own too, and check what it returns.
+    """Return a schedule's epsilon(k), the user's own too, and check it.
 
-    Parameters
-    ----------
-    schedule : callable
-        k -> epsilon(k).
-    k : int
-        The step.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        If the schedule is not positive and finite at k, or is larger there than at k - 1. What a schedule of the
-        user's own raises is let through, with a note where it was called.
+    InputError if it is not positive and finite at k, or is larger there than at k - 1. What a schedule of the user's
+    own raises is let through, with a note where it was called.
     """
     k = integer("k", k, 0)
     now = _value(schedule, k)
@@ -154,13 +109,7 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
 
 
 def epsilons(schedule: Schedule, first: int, stop: int) -> Array:
-    """Evaluate a schedule at first, ..., stop - 1, as :func:`epsilon_at` does, once at each.
-
-    Raises
-    ------
-    InputError
-        If the schedule is not positive and finite, or rises.
-    """
+    """Return epsilon at first, ..., stop - 1, checked as by :func:`epsilon_at`, with one evaluation at each."""
     start = max(first - 1, 0)
     found = np.array([_value(schedule, k) for k in range(start, stop)])
     rises = np.flatnonzero(np.diff(found) > 0)

@@ -33,6 +33,7 @@ class Controller:
         N, at least 1. The theory asks for N at least n'.
     epsilon : callable
         k -> epsilon(k), positive and never rising: a schedule of ``rhl.schedules`` or a function of the user's own.
+        AssumptionWarning if it is known not to tend to zero (Theorem 1).
     alpha : float
         :math:`\Gamma(x) = \alpha x^\top x`, positive (Theorem 1).
     model_delay : {0, 1}
@@ -42,16 +43,6 @@ class Controller:
         False: epsilon falls with every step. True: it is taken at a stage j(k) that moves on only where the value
         function did not fall, :math:`V_1(k) \ge V_1(k-1)` with the weight kept; a suggestion of the paper's outlook
         (Section VII), outside its theory.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range.
-
-    Warns
-    -----
-    AssumptionWarning
-        If epsilon is known not to tend to zero (Theorem 1).
     """
 
     Q: Array | float
@@ -89,14 +80,9 @@ class Controller:
         return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
-        """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3).
+        """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3), for the augmented state x (..., n).
 
-        Parameters
-        ----------
-        x : array, shape (..., n)
-            Augmented state.
-        k : int, or array of int, shape (...)
-            The step; where the weight is adaptive, the stage.
+        ``k`` is the step or, where the weight is adaptive, the stage: an integer, or an array of them, shape (...).
         """
         stages, where = np.unique(k, return_inverse=True)
         epsilon = np.array([epsilon_at(self.epsilon, int(at)) for at in stages])[where].reshape(np.shape(k))
@@ -107,6 +93,9 @@ class Controller:
 @dataclass(frozen=True, eq=False)
 class Scheme:
     """Receding horizon learning: everything that is chosen before the loop is closed.
+
+    InputError if sizes do not fit each other, the initial model contradicts the estimator's constraints or lies outside
+    its generator's domain, or the mixing is a search and the initial model is not controllable.
 
     Parameters
     ----------
@@ -120,12 +109,6 @@ class Scheme:
         theta~(0), lifted; controllable (Theorem 2(iii)).
     mixing : Mixing
         How lambda_k is chosen: ConstantMixing, LambdaSearch, or an object of your own with a function ``choose``.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit each other, the initial model contradicts the estimator's constraints or lies outside its
-        generator's domain, or the mixing is a search and the initial model is not controllable.
     """
 
     lifting: DelayLifting
@@ -194,27 +177,13 @@ class Scheme:
 
 
 def default_scheme(p: int, q: int, order: int) -> Scheme:
-    r"""Return a scheme to begin with, from nothing but sizes and a bound on the plant's order.
+    r"""Return a scheme to begin with for outputs of size p and inputs of size q.
 
-    Parameters
-    ----------
-    p, q : int
-        Sizes of the plant's output and input.
-    order : int
-        An upper bound on the order of the plant's observable part.
-
-    Returns
-    -------
-    Scheme
-        :math:`N_y = N_v` = order (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit
-        weights, a horizon of twice the augmented state's size and at least 30, :math:`\epsilon(k) = 1/(1+10k)`, and the
-        paper's initial model. Weights carry units: where inputs are of another size than outputs, replace R first. The
-        generator's weight, 0.01, stands beside squares of the outputs, which it takes to be of size one.
-
-    Raises
-    ------
-    InputError
-        If a size is not an integer of at least 1.
+    ``order`` is an upper bound on the order of the plant's observable part. The scheme has :math:`N_y = N_v` = order
+    (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit weights, a horizon of twice the
+    augmented state's size and at least 30, :math:`\epsilon(k) = 1/(1+10k)`, and the paper's initial model. Weights
+    carry units: where inputs are of another size than outputs, replace R first. The generator's weight, 0.01, stands
+    beside squares of the outputs, which it takes to be of size one.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)

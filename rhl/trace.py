@@ -22,12 +22,12 @@ from rhl.scheme import Scheme
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """What was estimated along a run; theta = [A B] with n rows.
+    """What was estimated along a run: theta = [A B] with n rows, before and after mixing.
 
     Attributes
     ----------
     estimate, model : array, shape (steps, ..., n, n + q)
-        theta*(k) before mixing, theta~(k) after it.
+        theta*(k) and theta~(k).
     lam : array, shape (steps, ...)
         lambda_k.
     stage : array of int, shape (steps, ...), or None
@@ -57,10 +57,8 @@ class Trace:
     ----------
     scheme : Scheme
         What ran.
-    y : array, shape (steps, ..., p)
-        Outputs y(k), as measured.
-    v : array, shape (steps, ..., q)
-        Inputs v(k), as applied.
+    y, v : array, shapes (steps, ..., p) and (steps, ..., q)
+        Outputs y(k) as measured, inputs v(k) as applied.
     plant_state : array, shape (steps, ..., n), or None
         The plant's states z(k), where there was a plant.
     computed : array, shape (steps, ..., q), or None
@@ -114,13 +112,7 @@ class Trace:
 
     @classmethod
     def of_steps(cls, scheme: Scheme, steps: Iterable[Step], applied_known: bool = True) -> Trace:
-        """Collect the steps of ``closed_loop`` or ``replay``, from k = 0 on.
-
-        Raises
-        ------
-        InputError
-            If there is none, or something else than steps.
-        """
+        """Collect the steps of ``closed_loop`` or ``replay`` from k = 0 on; InputError if there is none."""
         given: tuple[Any, ...] = tuple(steps)
         if not all(isinstance(done, Step) for done in given):
             raise InputError(f"steps must be a tuple of Step, got {describe(given)}")

@@ -89,13 +89,7 @@ def _said(kind: Kind) -> str:
 
 
 def fitted(kind: Kind, value: Any) -> Any:
-    """Return a value as its key holds it: what is a number as float.
-
-    Raises
-    ------
-    ValueError
-        If it is not of this kind.
-    """
+    """Return a value as its key holds it, a number as float; ValueError if it is not of this kind."""
     for option in kind.get("anyOf", ()):
         with suppress(ValueError):
             return fitted(option, value)

@@ -47,12 +47,8 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    Returns
-    -------
-    int
-        0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is
-        missed. 2: bad input. 3: the run stopped before its end; its rows up to there are kept. 130: interrupted;
-        likewise.
+    0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is missed. 2: bad input.
+    3: the run stopped before its end; its rows up to there are kept. 130: interrupted; likewise.
     """
     try:
         with warnings.catch_warnings(), _terminable():

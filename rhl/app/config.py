@@ -49,17 +49,7 @@ class Config(Section):
     simulation = key("{}", table_of(SimulationSection), default=None)
 
     def experiment(self) -> Experiment:
-        """Build what the file describes.
-
-        Returns
-        -------
-        Experiment
-
-        Raises
-        ------
-        InputError
-            If sizes do not fit each other; the message begins with the key.
-        """
+        """Build what the file describes; InputError, which begins with the key, if sizes do not fit each other."""
         with _under("plant"):
             plant, z0 = self._plant()
         with _under("lifting"):
@@ -140,19 +130,7 @@ class Config(Section):
 def load(path: str | os.PathLike[str]) -> Config:
     """Read a run's TOML file.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-
-    Returns
-    -------
-    Config
-
-    Raises
-    ------
-    InputError
-        If the file is missing or not TOML, or a key is missing, unknown or not what it must be.
+    InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
     """
     name = shown(path)
     try:
@@ -178,13 +156,7 @@ def load(path: str | os.PathLike[str]) -> Config:
 
 
 def parse(data: dict[str, Any]) -> Config:
-    """Check a run's description, already read into a dictionary.
-
-    Raises
-    ------
-    InputError
-        With one sentence about the first key that does not fit.
-    """
+    """Check a run's description as a dictionary; InputError says in a sentence which key does not fit first."""
     given: Any = data
     if not isinstance(given, dict) or not all(isinstance(name, str) for name in given):
         raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
@@ -242,17 +214,9 @@ _EXAMPLE: dict[str, dict[str, object]] = {
 
 
 def template(name: str) -> str:
-    """Return a file that runs as it is, with a comment for each key; keys that may be left out stand commented out.
+    """Return a TOML file for a run of that name that runs as it is, with a comment for each key.
 
-    Parameters
-    ----------
-    name : str
-        What the run is called.
-
-    Returns
-    -------
-    str
-        TOML.
+    Keys that may be left out stand commented out.
     """
     if not isinstance(cast(object, name), str):
         raise InputError(f"name must be a string, got {describe(name)}")

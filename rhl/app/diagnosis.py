@@ -66,12 +66,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, in the order in which one would ask.
-
-    Attributes
-    ----------
-    findings : tuple of Finding
-    """
+    """What was found, in the order in which one would ask."""
 
     findings: tuple[Finding, ...]
 
@@ -89,23 +84,8 @@ def diagnose(
 ) -> Diagnosis:
     """Check the assumptions of the paper for a plant and a scheme, before anything runs.
 
-    Parameters
-    ----------
-    plant : Plant
-        A plant that is not linear is judged by its linearisation at zero.
-    scheme : Scheme
-        What would run on it.
-    sensor, actuator : callable or tuple of callables, optional
-        What would stand between them.
-
-    Returns
-    -------
-    Diagnosis
-
-    Raises
-    ------
-    InputError
-        If the plant's sizes do not fit the scheme, or its functions misbehave.
+    A plant that is not linear is judged by its linearisation at zero; ``sensor`` and ``actuator`` are what would stand
+    between plant and scheme. InputError if the plant's sizes do not fit the scheme, or its functions misbehave.
 
     Examples
     --------
@@ -125,19 +105,7 @@ def diagnose(
 def diagnose_run(trace: Trace) -> Diagnosis:
     """Say how a run went, and which assumption is suspect where it did not go well.
 
-    Parameters
-    ----------
-    trace : Trace
-        One run, no batch; one that stopped early too, its error's ``trace``.
-
-    Returns
-    -------
-    Diagnosis
-
-    Raises
-    ------
-    InputError
-        If the trace is a batch.
+    The trace is of one run, InputError if it is a batch; one that stopped early too, its error's ``trace``.
     """
     instance("trace", trace, Trace)
     if trace.y.ndim != 2:

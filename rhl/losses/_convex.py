@@ -67,13 +67,7 @@ def registered(kind: Kind) -> Kind:
 
 
 def convex(name: str, value: Any) -> Convex:
-    """Check that a value has the members of ``Convex``.
-
-    Raises
-    ------
-    InputError
-        If it lacks one.
-    """
+    """Check that a value has the members of ``Convex``; InputError if it lacks one."""
     kind = f"a loss or generator ({', '.join(KNOWN)}, or CustomLoss for your own functions)"
     members(name, value, kind, "value", "gradient", "hessian", "lower", "assumption_6", "convex_in_second")
     checked: Convex = value

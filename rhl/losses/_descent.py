@@ -42,12 +42,7 @@ class _Theirs(Exception):
 def solve(problem: Proximal) -> Array:
     """Return the minimiser, certified: by Newton's method, or by scipy's trust-region method where that one fails.
 
-    Raises
-    ------
-    InputError
-        If the centre is not in the generator's domain.
-    NotSolvedError
-        If the certificate is missed.
+    InputError if the centre is not in the generator's domain, NotSolvedError if the certificate is missed.
     """
     if not np.all(problem.centre > problem.g.lower):
         raise InputError(

@@ -159,10 +159,7 @@ class Proximal:
     def newton(self, theta: Array) -> tuple[float, Array]:
         """Return the length of Newton's step, in the generator's metric and relative to theta's, and the step.
 
-        Raises
-        ------
-        Flat
-            If the loss bends down, or the generator does not bend up.
+        Flat if the loss bends down, or the generator does not bend up.
         """
         e = self.residual(theta)
         slope, bend = self.c.gradient(e), self.c.hessian(e)

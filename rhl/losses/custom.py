@@ -20,6 +20,9 @@ Found = TypeVar("Found")
 class CustomLoss:
     """A loss or a generator of the user's own, from its value and its gradient.
 
+    InputError if an argument is of the wrong kind; later, when a function returns another shape, or NaN. What the
+    functions raise themselves comes through as it is, with a note of which of them was called.
+
     Parameters
     ----------
     value : callable
@@ -38,12 +41,6 @@ class CustomLoss:
     separable : bool
         Whether it is a sum of functions of single entries. A hessian says so by its shape; where it is omitted, this
         does: one difference of the gradient is then enough, and equation (15) is solved row by row.
-
-    Raises
-    ------
-    InputError
-        If an argument is no function, or no number; later, when a function returns another shape, or NaN. What the
-        functions raise themselves comes through as it is, with a note of which of them was called.
     """
 
     _value: Callable[[Array], float]
@@ -144,15 +141,8 @@ class CustomLoss:
 class Varying:
     """A loss that changes with k, equation (15)'s c(e, k).
 
-    Parameters
-    ----------
-    at : callable
-        k -> the loss of that step: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``CustomLoss``.
-
-    Raises
-    ------
-    InputError
-        If ``at`` is not a function; later, if it returns something else than a loss.
+    ``at`` returns the loss of step k: ``WeightedSquares``, ``LogCosh``, ``PseudoHuber`` or ``CustomLoss``. InputError
+    if it is not a function; later, if it returns something else than a loss.
     """
 
     at: Callable[[int], Convex]

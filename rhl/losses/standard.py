@@ -17,6 +17,9 @@ from rhl.losses._convex import KNOWN, Generator, called, registered
 class WeightedSquares:
     r"""The weighted square :math:`x^\top W x`, as loss c or as generator g.
 
+    Source: Remark 2 (:math:`c(e)=\|e\|^2`, :math:`g(\theta)=\|\theta\|^2`) with weights. Its domain is all of R^d,
+    Assumption 6 holds, and the distance it induces is convex in both arguments, as Lemma 4 asks.
+
     Parameters
     ----------
     weight : float or array_like, shape (d,) or (d, d)
@@ -24,16 +27,6 @@ class WeightedSquares:
         paper's: of the residuals :math:`s(k) - R(k)\theta`, newest transition first, as a loss; of
         :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`, column by column, as a generator
         (``SignalModel(A, B).theta`` puts weights given entry by entry into that order).
-
-    Raises
-    ------
-    InputError
-        If a weight is not positive and finite, or a matrix not symmetric positive definite.
-
-    Notes
-    -----
-    Source: Remark 2 (:math:`c(e)=\|e\|^2`, :math:`g(\theta)=\|\theta\|^2`) with weights. Its domain is all of R^d,
-    Assumption 6 holds, and the distance it induces is convex in both arguments, as Lemma 4 asks.
     """
 
     weight: Array | float = 1.0
@@ -76,23 +69,16 @@ class WeightedSquares:
 class LogCosh:
     r"""The loss :math:`c(e) = \sum_i 2 w_i s^2 \log\cosh(e_i / s)`: small residuals squared, large ones linear.
 
-    Parameters
-    ----------
-    scale : float
-        s, the size above which a residual counts as an outlier; in the units of the residual.
-    weight : float or array_like, shape (d,)
-        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
-
-    Raises
-    ------
-    InputError
-        If the scale or a weight is not positive and finite.
-
-    Notes
-    -----
     Source: Remark 2 names outliers as a reason for another loss than squares; the function is standard in robust
     statistics. Its domain is all of R^d and Assumption 6 holds. As a generator its distance is not convex in the
     second argument.
+
+    Parameters
+    ----------
+    scale : float
+        s, positive: the size above which a residual counts as an outlier, in the units of the residual.
+    weight : float or array_like, shape (d,)
+        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
     """
 
     scale: float = 1.0
@@ -140,23 +126,16 @@ class LogCosh:
 class PseudoHuber:
     r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, Huber's, made smooth.
 
-    Parameters
-    ----------
-    scale : float
-        :math:`\delta`, the size above which a residual counts as an outlier; in the units of the residual.
-    weight : float or array_like, shape (d,)
-        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
-
-    Raises
-    ------
-    InputError
-        If the scale or a weight is not positive and finite.
-
-    Notes
-    -----
     Source: Charbonnier et al., Deterministic edge-preserving regularization in computed imaging, IEEE Trans. Image
     Process. 6 (1997). Its domain is all of R^d and Assumption 6 holds. As a generator its distance is not convex in
     the second argument.
+
+    Parameters
+    ----------
+    scale : float
+        :math:`\delta`, positive: the size above which a residual counts as an outlier, in the units of the residual.
+    weight : float or array_like, shape (d,)
+        :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
     """
 
     scale: float = 1.0
@@ -197,21 +176,10 @@ class PseudoHuber:
 class Entropy:
     r"""The generator :math:`g(\theta) = \sum_i w_i\, \theta_i \log\theta_i` on positive parameters.
 
-    Parameters
-    ----------
-    weight : float or array_like, shape (d,)
-        :math:`w_i`, positive, in the order of :math:`\theta`.
-
-    Raises
-    ------
-    InputError
-        If a weight is not positive and finite.
-
-    Notes
-    -----
-    Its distance is Kullback's and Leibler's, which is convex in both arguments together, so that Lemma 4 applies;
-    Assumption 6 holds on its domain, the positive numbers. Every entry of A and B then stays positive, the initial
-    model's included: fit for positive systems (flows, stocks, populations) only.
+    ``weight``, :math:`w_i`, is one positive number or one for each entry of :math:`\theta`, in its order. The distance
+    is Kullback's and Leibler's, which is convex in both arguments together, so that Lemma 4 applies; Assumption 6 holds
+    on its domain, the positive numbers. Every entry of A and B then stays positive, the initial model's included: fit
+    for positive systems (flows, stocks, populations) only.
     """
 
     weight: Array | float = 1.0
@@ -242,28 +210,10 @@ class Entropy:
 
 
 def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
-    r"""Bregman distance :math:`D(x,y) = g(x) - g(y) - (x-y)^\top \nabla g(y)`.
+    r"""Bregman distance :math:`D(x,y) = g(x) - g(y) - (x-y)^\top \nabla g(y)`, shape (...), for x and y of (..., d).
 
-    Parameters
-    ----------
-    g : Generator
-        Strictly convex generator.
-    x, y : array_like, shape (..., d)
-        Points in its domain.
-
-    Returns
-    -------
-    array, shape (...)
-        Nonnegative, zero only for x = y.
-
-    Raises
-    ------
-    InputError
-        If a point lies outside the domain, so that the distance is no number.
-
-    Notes
-    -----
-    Source: the definition after equation (15).
+    Nonnegative, zero only for x = y, since g is strictly convex; the definition follows equation (15). InputError if a
+    point lies outside the domain, so that the distance is no number.
 
     Examples
     --------

@@ -24,16 +24,8 @@ def against_published(ax: Axes, values: Array, name: str, label: str, colour: st
 def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure:
     """Draw a run of one of the paper's examples on the published curves, and how far apart they are.
 
-    Parameters
-    ----------
-    trace : Trace
-        A run of ``published.linear_example()`` or ``published.robot_arm()``.
-    experiment : {"linear", "robot"}
-        Which of them.
-
-    Returns
-    -------
-    Figure
+    ``trace``: a run of ``published.linear_example()`` or ``published.robot_arm()``.
+    ``experiment`` {"linear", "robot"}: which of them.
 
     Examples
     --------
@@ -67,15 +59,8 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
 def opening(trace: Trace) -> str:
     """Draw the linear example's output on the published one as HTML for the first page, whose style lets it move.
 
-    Parameters
-    ----------
-    trace : Trace
-        A run of ``published.linear_example()``.
-
-    Returns
-    -------
-    str
-        A figure with an inline SVG: one circle for each published sample, one path for our line.
+    The figure has an inline SVG: one circle for each published sample, one path for the trace of
+    ``published.linear_example()``.
 
     Examples
     --------

@@ -22,15 +22,8 @@ if TYPE_CHECKING:
 def tell(**values: float | int | str) -> None:
     """Hand numbers, or short strings, to the prose of the page under their names.
 
-    Parameters
-    ----------
-    **values : float, int or str
-        Read in the text as ``{glue:text}`name:.2f```.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite: no page shall say NaN.
+    ``**values``: read in the text as ``{glue:text}`name:.2f```. InputError if a number is not finite: no page shall say
+    NaN.
     """
     from myst_nb import glue  # here, because only the book's extra installs it
 

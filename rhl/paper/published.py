@@ -35,19 +35,8 @@ CURVES = {
 
 
 def curve(name: str) -> Array:
-    """Return a published curve, sample by sample from k = 0.
+    """Return a published curve, one of ``CURVES``, sample by sample from k = 0, shape (samples,).
 
-    Parameters
-    ----------
-    name : str
-        One of ``CURVES``.
-
-    Returns
-    -------
-    array, shape (samples,)
-
-    Notes
-    -----
     Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
 
     Examples
@@ -105,16 +94,9 @@ class Experiment:
 def linear_example(*, printed: bool = False) -> Experiment:
     """Return the linear example, equation (23), figures 2 to 6.
 
-    Parameters
-    ----------
-    printed : bool
-        False: the settings behind the published curves, eps(k) = 1/(1+100k). True: eps(k) = 1/(1+1000k), as the text
-        prints. What the text leaves open (initial model, one step of delay between estimate and control) is the same
-        in both.
-
-    Returns
-    -------
-    Experiment
+    By default it has the settings behind the published curves, eps(k) = 1/(1+100k); ``printed`` takes 1/(1+1000k), as
+    the text prints. What the text leaves open (initial model, one step of delay between estimate and control) is the
+    same in both.
 
     Examples
     --------
@@ -139,15 +121,8 @@ def linear_example(*, printed: bool = False) -> Experiment:
 def robot_arm(*, printed: bool = False) -> Experiment:
     """Return the robot arm, equation (24), figures 7 to 9.
 
-    Parameters
-    ----------
-    printed : bool
-        False: the coefficients that the published curves obey. True: those in the text. The scheme is the same, with
-        the constant mixing lambda = 0.5 that the text does not mention.
-
-    Returns
-    -------
-    Experiment
+    ``printed`` False: the coefficients that the published curves obey. True: those in the text. The scheme is the same,
+    with the constant mixing lambda = 0.5 that the text does not mention.
 
     Examples
     --------
@@ -274,19 +249,11 @@ def check_length(trace: Trace, steps: int, n: int) -> None:
 
 
 def gamma_over_eps(*, printed: bool = False) -> Array:
-    r"""Compute figure 6 from the published outputs and inputs.
+    r"""Compute figure 6, shape (41,), from the published outputs and inputs.
 
     The figure takes Gamma one input later than the controller does:
     :math:`(|y(k)|^2 + \dots + |y(k-3)|^2 + |v(k)|^2 + |v(k-1)|^2 + |v(k-2)|^2) / \epsilon(k)`.
-
-    Parameters
-    ----------
-    printed : bool
-        Take the text's eps rate, 1000, instead of the data's, 100.
-
-    Returns
-    -------
-    array, shape (41,)
+    ``printed``: take the text's eps rate, 1000, instead of the data's, 100.
 
     Examples
     --------

@@ -63,14 +63,7 @@ class Setting:
 def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
     """Return the settings in groups: those of one group are swept together, the others meanwhile keep their values.
 
-    Parameters
-    ----------
-    name : {"linear", "robot"}
-        The linear example or the robot arm.
-
-    Returns
-    -------
-    tuple of tuple of Setting
+    ``name`` {"linear", "robot"}: the linear example or the robot arm.
 
     Examples
     --------
@@ -132,15 +125,8 @@ def signals(name: Name) -> tuple[dict[str, Any], ...]:
 def record(changed: Experiment) -> dict[str, Any]:
     """Run an experiment and return its curves, each a list over k; a run that diverges ends there and says so.
 
-    Parameters
-    ----------
-    changed : Experiment
-
-    Returns
-    -------
-    dict
-        ``y1``, ..., ``v1``, ``weight``, ``margin_lifted``, ``margin_augmented``; and ``diverged``: None, or the k at
-        which the run left the range of floating-point numbers.
+    Keys: ``y1``, ..., ``v1``, ``weight``, ``margin_lifted``, ``margin_augmented``; and ``diverged``: None, or the k at
+    which the run left the range of floating-point numbers.
 
     Examples
     --------
@@ -163,18 +149,9 @@ def record(changed: Experiment) -> dict[str, Any]:
 
 
 def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
-    """Run the experiment at all combinations of a group's values, the last setting changing fastest.
+    """Yield ``record`` of the experiment at all combinations of a group's values, the last setting changing fastest.
 
-    Parameters
-    ----------
-    name : {"linear", "robot"}
-    group : tuple of Setting
-        One of ``settings(name)``.
-
-    Yields
-    ------
-    dict
-        As from ``record``.
+    ``group`` is one of ``settings(name)``.
     """
     for values in product(*(setting.values for setting in group)):
         changed = experiment(name)
@@ -184,20 +161,10 @@ def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
 
 
 def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
-    """Return Lemma 4's spiral for several rates at which its directions turn tangential.
+    """Return Lemma 4's spiral, K = ``steps``, for several rates at which its directions turn tangential.
 
-    Parameters
-    ----------
-    steps : int
-        K.
-    points : int
-        How many iterates are kept, geometrically spaced, at most.
-
-    Returns
-    -------
-    dict
-        ``k``, ``exponents`` e in delta_k = k^-e / 2, ``own`` (the counterexample's exponent), and for each exponent
-        ``norm`` and ``angle`` of the iterates at these k.
+    Keys: ``k``, geometrically spaced and at most ``points`` of them, ``exponents`` e in delta_k = k^-e / 2, ``own``
+    (the counterexample's exponent), and for each exponent ``norm`` and ``angle`` of the iterates at these k.
 
     Examples
     --------
@@ -220,17 +187,9 @@ def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
 def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
     """Return the margin of Lemma 5's mixtures over lambda, for pairs with as many bad lambdas as there can be.
 
-    Parameters
-    ----------
-    orders : iterable of int
-        n of each pair.
-
-    Returns
-    -------
-    dict
-        ``orders``; and for each: ``lam`` (equidistant, the bad ones, and some beside them), ``margin``, ``bad`` (the
-        places in ``lam`` of the roots, exact to float64), ``candidates`` (the paper's) with their ``found`` margins,
-        ``enough``, n(n+1)/2.
+    Keys: ``orders``, the n of each pair; and for each: ``lam`` (equidistant, the bad ones, and some beside them),
+    ``margin``, ``bad`` (the places in ``lam`` of the roots, exact to float64), ``candidates`` (the paper's) with their
+    ``found`` margins, ``enough``, n(n+1)/2.
 
     Examples
     --------
@@ -258,14 +217,9 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
 
 
 def files() -> Iterator[tuple[str, str]]:
-    """Compute everything that the page to explore loads.
+    """Yield the name, without its ending, and the JSON of every file that the page to explore loads.
 
     A sweep of several settings is cut along the first of them, so that a page fetches what it shows and no more.
-
-    Yields
-    ------
-    name, content : str
-        A file's name without its ending, and JSON.
     """
     for name in ("linear", "robot"):
         example, groups = experiment(name), settings(name)

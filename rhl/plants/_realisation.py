@@ -19,12 +19,7 @@ _SEEN_RTOL = 1e-10
 def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
     r"""Find what the outputs see of the state, :math:`\mathrm{im}\,[H' \; F'H' \; F'^2H' \; \dots]`.
 
-    Parameters
-    ----------
-    F : array_like, shape (n, n)
-        State matrix.
-    H : array_like, shape (p, n)
-        Output matrix.
+    InputError if the shapes of F, (n, n), and H, (p, n), do not fit or an entry is not finite.
 
     Returns
     -------
@@ -33,11 +28,6 @@ def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
     int
         The observability index: the least m for which m block rows of the observability matrix have its full rank, at
         least 1.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit or an entry is not finite.
 
     Notes
     -----

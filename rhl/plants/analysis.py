@@ -30,6 +30,8 @@ _DEFECT_RTOL = 1e-7
 class Modes:
     r"""The modes of a plant that do not decay by themselves, and how well the inputs reach (or the outputs see) each.
 
+    Source: the test of Popov, Belevitch and Hautus.
+
     Attributes
     ----------
     eigenvalues : array of complex, shape (r,)
@@ -38,10 +40,6 @@ class Modes:
         The smallest singular value of :math:`[\lambda I - F,\; G]`, or of :math:`[\lambda I - F;\; H]`, at each.
     scale : float
         The norm of [F, G] or [F; H], against which the margins are judged.
-
-    Notes
-    -----
-    Source: the test of Popov, Belevitch and Hautus.
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -65,22 +63,8 @@ class Modes:
 def stabilizability(F: ArrayLike, G: ArrayLike) -> Modes:
     r"""Test whether inputs reach every mode that does not decay: the rank of :math:`[\lambda I - F,\; G]`.
 
-    Parameters
-    ----------
-    F : array_like, shape (n, n)
-        State matrix.
-    G : array_like, shape (n, q)
-        Input matrix.
-
-    Returns
-    -------
-    Modes
-        ``holds`` says whether (F, G) is stabilizable, as Assumption 1 wants.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit or an entry is not finite.
+    ``holds`` of the result says whether (F, G), shapes (n, n) and (n, q), is stabilizable, as Assumption 1 wants.
+    InputError if the shapes do not fit or an entry is not finite.
 
     Examples
     --------
@@ -96,22 +80,8 @@ def stabilizability(F: ArrayLike, G: ArrayLike) -> Modes:
 def detectability(F: ArrayLike, H: ArrayLike) -> Modes:
     r"""Test whether outputs see every mode that does not decay: the rank of :math:`[\lambda I - F;\; H]`.
 
-    Parameters
-    ----------
-    F : array_like, shape (n, n)
-        State matrix.
-    H : array_like, shape (p, n)
-        Output matrix.
-
-    Returns
-    -------
-    Modes
-        ``holds`` says whether (F, H) is detectable, as Assumption 1 wants.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit or an entry is not finite.
+    ``holds`` of the result says whether (F, H), shapes (n, n) and (p, n), is detectable, as Assumption 1 wants.
+    InputError if the shapes do not fit or an entry is not finite.
     """
     F = _single("F", square("F", F))
     return _modes(F.T, _single("H", real_array("H", H, (None, len(F)))).T)
@@ -158,14 +128,14 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
         H = \frac{\partial g}{\partial z}(z)
         \qquad\text{of } z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))
 
+    InputError if (z, v) does not fit the plant or is no equilibrium, or the plant is not finite near it.
+
     Parameters
     ----------
     plant : Plant
         Any plant; a linear one is returned as it is.
-    z : array_like, shape (n,), optional
-        State at rest; zero where omitted.
-    v : array_like, shape (q,), optional
-        Input that keeps it there; zero where omitted.
+    z, v : array_like, shapes (n,) and (q,), optional
+        State at rest, and input that keeps it there; zero where omitted.
 
     Returns
     -------
@@ -173,11 +143,6 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
         Of the deviations from z, v and the output there. Accurate to about 1e-10 of the derivatives' size for plants
         whose third derivatives are no larger than that, which 1e-7 bounds with room to spare; exact but for rounding
         where the plant is linear or quadratic.
-
-    Raises
-    ------
-    InputError
-        If z or v does not fit the plant, or (z, v) is no equilibrium, or the plant is not finite near it.
     """
     check_plant(plant)
     at_z = np.zeros(plant.n) if z is None else _vector("z", z, plant.n)
@@ -230,46 +195,19 @@ def observability(F: Array, H: Array, m: int) -> Array:
 
 
 def observability_index(F: ArrayLike, H: ArrayLike) -> int:
-    """Return the least m for which the observability matrix of m outputs has the rank of that of all n.
+    """Return the least m >= 1 for which the observability matrix of m outputs has the rank of that of all n.
 
-    Parameters
-    ----------
-    F : array_like, shape (n, n)
-        State matrix.
-    H : array_like, shape (p, n)
-        Output matrix; (F, H) need not be observable.
-
-    Returns
-    -------
-    int
-        At least 1; as many outputs must be stacked for a signal model (Lemma 6).
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit or an entry is not finite.
+    As many outputs must be stacked for a signal model (Lemma 6). F has shape (n, n) and H (p, n); (F, H) need not be
+    observable. InputError if the shapes do not fit or an entry is not finite.
     """
     return observable_basis(F, H)[1]
 
 
 def observable_part(plant: LinearPlant) -> LinearPlant:
-    """Return the subsystem (53) that alone makes the outputs.
+    """Return the subsystem (53) of a single plant that alone makes the outputs.
 
-    Parameters
-    ----------
-    plant : LinearPlant
-        One plant, no batch.
-
-    Returns
-    -------
-    LinearPlant
-        In coordinates z_o = V'z with V orthonormal from an orthogonal staircase: from V'z(0) it gives the
-        outputs that the plant gives from z(0).
-
-    Raises
-    ------
-    InputError
-        If H is zero, so that nothing is seen, or the plant is a batch.
+    It is in coordinates z_o = V'z with V orthonormal from an orthogonal staircase: from V'z(0) it gives the outputs
+    that the plant gives from z(0). InputError if H is zero, so that nothing is seen, or the plant is a batch.
     """
     instance("plant", plant, LinearPlant)
     V, _ = observable_basis(plant.F, plant.H)
@@ -293,19 +231,9 @@ def inputs_to_stack(F: Array, G: Array, H: Array, m: int) -> Array:
 
 
 def signal_model(F: Array, G: Array, H: Array, m: int) -> SignalModel:
-    """Return the pair (A, B) of equation (55) for an observable (F, H).
+    """Return the pair (A, B) of equation (55), of sizes m p and m q, for the subsystem (53) with (F, H) observable.
 
-    Parameters
-    ----------
-    F, G, H : array
-        The subsystem (53).
-    m : int
-        How many outputs and inputs are stacked; at least the observability index.
-
-    Returns
-    -------
-    SignalModel
-        Of sizes m p and m q.
+    m outputs and inputs are stacked, at least as many as the observability index.
     """
     q = G.shape[1]
     O, R = observability(F, H, m), inputs_to_stack(F, G, H, m)
@@ -323,28 +251,22 @@ def rough_model(plant: LinearPlant, outputs: int, inputs: int) -> SignalModel:
         x(k+1) = A x(k) + B u(k), \qquad x(k) = [y(k); \dots; y(k-\bar N_y+1)], \quad u(k) = [v(k); \dots;
         v(k-\bar N_v+1)]
 
-    holds on every trajectory of the given plant, once the stacks are full of measurements.
+    holds on every trajectory of the given plant, once the stacks are full of measurements. InputError if a length is
+    below the observability index, or the plant is not a single linear one.
 
     Parameters
     ----------
     plant : LinearPlant
         What is believed of the plant; what its outputs do not see is left out. ``linearise`` makes one of a nonlinear
         plant.
-    outputs : int
-        :math:`\bar N_y`, at least the plant's observability index m.
-    inputs : int
-        :math:`\bar N_v`, at least m too.
+    outputs, inputs : int
+        :math:`\bar N_y` and :math:`\bar N_v`, both at least the plant's observability index m.
 
     Returns
     -------
     SignalModel
         Of sizes N_y p and N_v q. With N = min(N_y, N_v) its first N blocks are the pair (55) of length N; outputs
         further back only move along, inputs further back have no effect.
-
-    Raises
-    ------
-    InputError
-        If a length is below the observability index, or the plant is not a single linear one.
 
     Notes
     -----

@@ -54,14 +54,14 @@ class CartPendulum:
         (M + m)\ddot x + b \dot x - m l \ddot\phi \cos\phi + m l \dot\phi^2 \sin\phi &= v \\
         (I + m l^2)\ddot\phi - m g l \sin\phi &= m l \ddot x \cos\phi
 
-    The force v is constant over a sampling interval.
+    The force v is constant over a sampling interval. All parameters are positive; the friction may be zero.
 
     Parameters
     ----------
     cart_mass, pendulum_mass : float
         M and m, kg.
     friction : float
-        b of the cart, N s/m; zero is allowed.
+        b of the cart, N s/m.
     length : float
         l from the pivot to the centre of mass, m.
     inertia : float
@@ -70,11 +70,6 @@ class CartPendulum:
         g, m/s^2.
     h : float
         Sampling time, s.
-
-    Raises
-    ------
-    InputError
-        If the friction is negative, or another parameter is not a positive finite number.
 
     Notes
     -----
@@ -185,7 +180,7 @@ def quadruple_tank(valves: Valves = "minimum-phase", h: float = 5.0) -> LinearPl
         \dot z_4 &= -z_4/T_4 + (1-\gamma_1) k_1 v_1/A_4
 
     with :math:`T_i = (A_i/a_i)\sqrt{2 h_i/g}`; each lower tank (1, 2) is fed by one pump and by the tank above it (3,
-    4), which the other pump feeds.
+    4), which the other pump feeds. n = 4, q = 2, p = 2.
 
     Parameters
     ----------
@@ -193,17 +188,7 @@ def quadruple_tank(valves: Valves = "minimum-phase", h: float = 5.0) -> LinearPl
         How the valves split the pumps' flows. Where more goes to the upper tanks than to the lower ones
         (gamma_1 + gamma_2 < 1), a zero lies in the right half plane.
     h : float
-        Sampling time, s.
-
-    Returns
-    -------
-    LinearPlant
-        n = 4, q = 2, p = 2.
-
-    Raises
-    ------
-    InputError
-        If ``valves`` is another word or h is not a positive finite number.
+        Sampling time, s, positive.
 
     Notes
     -----
@@ -223,26 +208,9 @@ def held_pump(h: float = 5.0) -> LinearPlant:
     Pump 1 runs at a constant voltage and so feeds tank 4 a constant flow; pump 2, the input, reaches tank 2 but not
     tank 4, whose level comes to rest at its own pace, and drains into tank 2, where it is seen.
 
-    Parameters
-    ----------
-    h : float
-        Sampling time, s.
-
-    Returns
-    -------
-    LinearPlant
-        n = 2, q = 1, p = 1.
-
-    Raises
-    ------
-    InputError
-        If h is not a positive finite number.
-
-    Notes
-    -----
     State z: deviations of the levels of tanks 2 and 4 (cm). Input v: deviation of the voltage of pump 2 (V). Output y:
-    deviation of the voltage of the sensor in tank 2 (V). Modes exp(-h/T_2) and exp(-h/T_4), T_2 = 91 s and T_4 = 56 s;
-    the second is not controllable.
+    deviation of the voltage of the sensor in tank 2 (V). Modes exp(-h/T_2) and exp(-h/T_4), T_2 = 91 s and T_4 = 56 s,
+    with the sampling time h (s), positive; the second is not controllable.
 
     Source: the rig of :func:`quadruple_tank` at its nonminimum-phase operating point, tanks 2 and 4 only.
     """
@@ -257,26 +225,9 @@ def flexible_shaft(h: float = 0.1) -> LinearPlant:
         J_L \dot\omega_L &= -k_\theta (\theta_L - \theta_M/\rho) - \beta_L \omega_L \\
         J_M \dot\omega_M &= k_T (v - k_T \omega_M)/R - \beta_M \omega_M + (k_\theta/\rho)(\theta_L - \theta_M/\rho)
 
-    Parameters
-    ----------
-    h : float
-        Sampling time, s.
-
-    Returns
-    -------
-    LinearPlant
-        n = 4, q = 1, p = 1.
-
-    Raises
-    ------
-    InputError
-        If h is not a positive finite number.
-
-    Notes
-    -----
     State z: angle (rad) and angular velocity (rad/s) of the load, then of the motor. Input v: armature voltage (V).
-    Output y: angle of the load (rad). The torsion of the shaft rings at 7.3 rad/s with a damping ratio of 0.096, and
-    the angle integrates.
+    Output y: angle of the load (rad). The sampling time h (s) is positive. The torsion of the shaft rings at 7.3 rad/s
+    with a damping ratio of 0.096, and the angle integrates.
 
     Source: A. Bemporad and E. Mosca, "Fulfilling hard constraints in uncertain linear systems by reference managing",
     Automatica 34(4), 1998, pages 451 to 461; all parameters and the sampling time as in the Model Predictive Control
@@ -303,27 +254,10 @@ def reversing_vehicle(h: float = 0.1) -> LinearPlant:
 
     .. math:: \dot y = s\,\theta + \frac{a s}{b} v, \qquad \dot\theta = \frac{s}{b} v, \qquad s = -2\,\text{m/s}
 
-    Parameters
-    ----------
-    h : float
-        Sampling time, s.
-
-    Returns
-    -------
-    LinearPlant
-        n = 2, q = 1, p = 1.
-
-    Raises
-    ------
-    InputError
-        If h is not a positive finite number.
-
-    Notes
-    -----
     State z: lateral deviation (m) of the reference point, a = 1.5 m ahead of the rear axle, and heading (rad);
-    wheelbase b = 3 m. Input v: steering angle (rad). Output y: the lateral deviation (m). From v to y the transfer
-    function is (a s p + s^2)/(b p^2) in the Laplace variable p: a double integrator with a zero at -s/a, in the right
-    half plane when reversing, so that the car first moves the wrong way.
+    wheelbase b = 3 m. Input v: steering angle (rad). Output y: the lateral deviation (m). The sampling time h (s) is
+    positive. From v to y the transfer function is (a s p + s^2)/(b p^2) in the Laplace variable p: a double integrator
+    with a zero at -s/a, in the right half plane when reversing, so that the car first moves the wrong way.
 
     Source: K. J. Astrom and R. M. Murray, Feedback Systems, 2nd edition, 2021, the running example of vehicle steering;
     a, b and s as in its companion notebook of python-control's examples ("Vehicle steering", example 10.11).
@@ -423,21 +357,7 @@ EXAMPLES: Mapping[str, Callable[[], ExamplePlant]] = MappingProxyType(
 
 
 def example(name: str) -> ExamplePlant:
-    """Return an example plant by its name.
-
-    Parameters
-    ----------
-    name : str
-        A key of ``EXAMPLES``.
-
-    Returns
-    -------
-    ExamplePlant
-
-    Raises
-    ------
-    InputError
-        If there is none of that name; the message lists those there are.
+    """Return an example plant by its name, a key of ``EXAMPLES``; the InputError for any other name lists them.
 
     Examples
     --------

@@ -17,16 +17,17 @@ from rhl.plants.base import check_lengths
 class FunctionPlant:
     r"""A plant of the caller's own, :math:`z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))`, from two plain functions.
 
+    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return
+    new ones. The scheme brings the outputs to zero; so put the wanted equilibrium there.
+
     Parameters
     ----------
     transition : callable
         f, from z of shape (n,) and v of shape (q,) to the next state, shape (n,).
     measurement : callable
         g, from z of shape (n,) to y, shape (p,).
-    n : int
-        Size of the state, at least 1.
-    q : int
-        Size of the input, at least 1.
+    n, q : int
+        Sizes of state and input, at least 1.
     names : tuple of str
         What messages call the two functions.
 
@@ -40,13 +41,6 @@ class FunctionPlant:
     PlantError
         If a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step` for
         later on. What a function itself raises is let through, with a note where it was called.
-    InputError
-        If n or q is not an integer of at least 1, or a function cannot be called.
-
-    Notes
-    -----
-    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return
-    new ones. The scheme brings the outputs to zero; so put the wanted equilibrium there.
 
     Examples
     --------
@@ -95,23 +89,9 @@ class FunctionPlant:
     def step(self, z: Array, v: Array) -> Array:
         """Return the next state, shape (..., n), member by member of the batch.
 
-        Parameters
-        ----------
-        z : array, shape (..., n)
-        v : array, shape (..., q)
-
-        Returns
-        -------
-        array, shape (..., n)
-            Infinite or NaN where the function says so, and infinite where it leaves the range of float64
-            (OverflowError): the closed loop stops there as diverged.
-
-        Raises
-        ------
-        InputError
-            If z or v has another length, or their batch axes do not fit.
-        PlantError
-            If the function returns something other than n real numbers.
+        An entry is infinite or NaN where the function says so, and infinite where it leaves the range of float64
+        (OverflowError): the closed loop stops there as diverged. InputError if z or v has another length or their batch
+        axes do not fit, PlantError if the function returns something other than n real numbers.
         """
         z, v = check_lengths(z=(z, self.n), v=(v, self.q))
         lead = common_batch(z=(z, 1), v=(v, 1))

@@ -20,24 +20,13 @@ if TYPE_CHECKING:
 class LinearPlant:
     r"""The plant :math:`z(k+1) = F z(k) + G v(k),\; y(k) = H z(k)`, equation (1).
 
+    The scheme assumes (F, G) stabilizable and (F, H) detectable (Assumption 1); this class does not, so that readers
+    can see what happens otherwise.
+
     Parameters
     ----------
-    F : array_like, shape (..., n, n)
-        State matrix.
-    G : array_like, shape (..., n, q)
-        Input matrix.
-    H : array_like, shape (..., p, n)
-        Output matrix.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not fit or an entry is not finite.
-
-    Notes
-    -----
-    Source: equation (1). The scheme assumes (F, G) stabilizable and (F, H) detectable (Assumption 1); this class
-    does not, so that readers can see what happens otherwise.
+    F, G, H : array_like, shapes (..., n, n), (..., n, q) and (..., p, n)
+        State, input and output matrix; InputError if the shapes do not fit or an entry is not finite.
     """
 
     F: Array
@@ -53,33 +42,16 @@ class LinearPlant:
 
     @classmethod
     def from_control(cls, system: control.StateSpace | control.TransferFunction) -> LinearPlant:
-        r"""Take a discrete-time system without feedthrough from python-control.
+        """Take a discrete-time system without feedthrough from python-control; no slycot is needed.
 
         A state space gives its own F, G, H. A transfer function is realised: each input by one companion form over the
         common denominator of its column, which is controllable; what the outputs do not see of that is taken away, so
-        that no mode is hidden (an unstable pole that channels share would otherwise make the plant undetectable).
+        that no mode is hidden (an unstable pole that channels share would otherwise make the plant undetectable). The
+        order is then the McMillan degree; roots of a numerator and a denominator that agree to ten digits or so count
+        as cancelled.
 
-        Parameters
-        ----------
-        system : control.StateSpace or control.TransferFunction
-            In discrete time (``dt`` positive or True), strictly proper (D = 0), with real numbers; any numbers of
-            inputs and outputs.
-
-        Returns
-        -------
-        LinearPlant
-            Of the state space's order, or of the transfer function's McMillan degree. Roots of a numerator and a
-            denominator that agree to ten digits or so count as cancelled.
-
-        Raises
-        ------
-        InputError
-            If the system is neither of the two, is in continuous time, has feedthrough, is improper, holds complex
-            numbers, or is zero.
-
-        Notes
-        -----
-        No slycot is needed.
+        InputError if the system is neither of the two, is in continuous time (``dt`` must be positive or True), has
+        feedthrough, is improper, holds complex numbers, or is zero. Any numbers of inputs and outputs will do.
 
         Examples
         --------

@@ -30,13 +30,8 @@ def _exact(gaps: list[Any], cases: int) -> Evidence:
 def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Evidence:
     """(5) in the library against (5) written out, in integers; and whether P_i depends on its last argument.
 
-    Parameters
-    ----------
-    effort : Effort
-    extra : int
-        The last argument is u_{i-1+extra}: 1 as printed, 0 as is meant.
-    swapped : bool
-        Write it out with B_l in the place of B_{i-1-l}.
+    ``extra``: the last argument is u_{i-1+extra}: 1 as printed, 0 as is meant.
+    ``swapped``: write it out with B_l in the place of B_{i-1-l}.
     """
     rng = effort.rng("eq-5")
     gaps = []
@@ -59,13 +54,8 @@ def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Eviden
 def check_commuting(effort: Effort, printed: bool = False, nudge: int = 0) -> Evidence:
     """(7) for powers, in rational numbers.
 
-    Parameters
-    ----------
-    effort : Effort
-    printed : bool
-        Ask for P_{N+1} too.
-    nudge : int
-        Change one entry of A_2 by that much, so that the maps are no powers.
+    ``printed``: ask for P_{N+1} too.
+    ``nudge``: change one entry of A_2 by that much, so that the maps are no powers.
     """
     rng = effort.rng("eq-7")
     gaps: list[Fraction | int] = []
@@ -82,11 +72,7 @@ def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
 
     The models have a last state that nothing moves from zero; what is changed is what the maps say about it.
 
-    Parameters
-    ----------
-    effort : Effort
-    everywhere : bool
-        Look at (7) from all states; otherwise from those whose last entry is zero.
+    ``everywhere``: look at (7) from all states; otherwise from those whose last entry is zero.
     """
     rng = effort.rng("eq-7.powers")
     unseen = []
@@ -109,13 +95,8 @@ def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
 def check_accurate(effort: Effort, last: int, nudge: int = 0) -> Evidence:
     """(8) for the powers of (A, B) itself, in rational numbers: every e_i must be zero.
 
-    Parameters
-    ----------
-    effort : Effort
-    last : int
-        The sum on the right ends at l = i - 1 + last: 1 as printed, which takes A^-1, 0 as is meant.
-    nudge : int
-        Change one entry of the predictor's A by that much.
+    ``last``: the sum on the right ends at l = i - 1 + last: 1 as printed, which takes A^-1, 0 as is meant.
+    ``nudge``: change one entry of the predictor's A by that much.
     """
     rng = effort.rng("eq-8")
     gaps: list[Fraction | int] = []
@@ -140,11 +121,7 @@ def check_accurate(effort: Effort, last: int, nudge: int = 0) -> Evidence:
 def check_error_bound(effort: Effort, approaching: bool = True) -> Evidence:
     """Compare the errors of maps A_i(k) = A^i + D_i/(k+1) with (8), where omega_1 = 0 and omega_2, omega_3 -> 0.
 
-    Parameters
-    ----------
-    effort : Effort
-    approaching : bool
-        False: the errors D_i stay.
+    ``approaching`` False: the errors D_i stay.
     """
     rng = effort.rng("assumption-4b")
     excess = []
@@ -167,11 +144,7 @@ def check_error_bound(effort: Effort, approaching: bool = True) -> Evidence:
 def check_bounded_signals(effort: Effort, growing: bool = False) -> Evidence:
     """Errors of maps that approach those of the plant, late over early, along signals that stay bounded.
 
-    Parameters
-    ----------
-    effort : Effort
-    growing : bool
-        Let the signals grow like k + 1.
+    ``growing``: let the signals grow like k + 1.
     """
     rng = effort.rng("remark-1.bounded")
     left = []
@@ -200,11 +173,7 @@ def _general_maps(rng: np.random.Generator) -> tuple[PredictorMaps, PredictorMap
 def check_steering(effort: Effort, horizon: int = 3) -> Evidence:
     """V2, the least terminal value, for controllable models of order 3 with one input.
 
-    Parameters
-    ----------
-    effort : Effort
-    horizon : int
-        N; below 3 not every state can be steered to zero.
+    ``horizon``: N; below 3 not every state can be steered to zero.
     """
     rng = effort.rng("assumption-4c")
     left: list[float] = []
@@ -219,11 +188,7 @@ def check_steering(effort: Effort, horizon: int = 3) -> Evidence:
 def check_reachable_end(effort: Effort, mode: float = 0.8) -> Evidence:
     """V2 along closed loops with V1 whose predictor is right and stabilizable only: its last value over its first.
 
-    Parameters
-    ----------
-    effort : Effort
-    mode : float
-        Eigenvalue of the state that no input reaches.
+    ``mode``: eigenvalue of the state that no input reaches.
     """
     rng = effort.rng("eq-9")
     A, B = rng.normal(size=(effort.cases, 3, 3)), rng.normal(size=(effort.cases, 3, 1))
@@ -241,11 +206,7 @@ def check_reachable_end(effort: Effort, mode: float = 0.8) -> Evidence:
 def check_out_of_reach(effort: Effort, reached: bool = False) -> Evidence:
     """Without Assumption 2: along an unstable left eigenvector that B does not see, no input does anything. Exact.
 
-    Parameters
-    ----------
-    effort : Effort
-    reached : bool
-        Let the input in.
+    ``reached``: let the input in.
     """
     rng = effort.rng("assumption-2")
     gaps: list[Fraction | int] = []
@@ -266,11 +227,7 @@ def check_out_of_reach(effort: Effort, reached: bool = False) -> Evidence:
 def check_right_where_it_matters(effort: Effort, third: float = 0.0) -> Evidence:
     """Errors of half-blind predictors along their own closed loops, provided that they are wrong elsewhere.
 
-    Parameters
-    ----------
-    effort : Effort
-    third : float
-        Initial value of the state that the predictor is wrong about.
+    ``third``: initial value of the state that the predictor is wrong about.
     """
     rng = effort.rng("remark-1")
     plant, predictor = half_blind(rng, effort.cases)
@@ -288,11 +245,7 @@ def check_right_where_it_matters(effort: Effort, third: float = 0.0) -> Evidence
 def check_planned(effort: Effort, right: bool = False) -> Evidence:
     """Two-step predictions of a fixed model: exact under the applied inputs, wrong under the planned ones.
 
-    Parameters
-    ----------
-    effort : Effort
-    right : bool
-        Take the plant itself as the model, which is right under all inputs.
+    ``right``: take the plant itself as the model, which is right under all inputs.
     """
     x0 = effort.rng("remark-1.planned").normal(size=(max(2, effort.cases // 10), 2))
     setting = turning(np.zeros(41), np.zeros((41, 2)), x0)

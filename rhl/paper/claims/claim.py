@@ -179,16 +179,8 @@ class Judgement:
 def judge(claim: Claim, effort: Effort) -> Judgement:
     """Run a claim's checks and its control.
 
-    Parameters
-    ----------
-    claim : Claim
-    effort : Effort
-
-    Returns
-    -------
-    Judgement
-        "holds" (or "observed") if the stated check passes; else "holds-corrected" if there is a corrected check and it
-        passes; else "refuted".
+    "holds" (or "observed") if the stated check passes; else "holds-corrected" if there is a corrected check and it
+    passes; else "refuted".
     """
     begin = time.perf_counter()
     if claim.stated is None or claim.control is None:

@@ -51,11 +51,7 @@ def concave_witness(expression: Any, y: Any, at: Any) -> Any:
 def check_only_quadratics(effort: Effort, positive: bool = False) -> Evidence:
     """Find, for generators on the whole line that are not quadratic, where D(x, .) is concave; exactly.
 
-    Parameters
-    ----------
-    effort : Effort
-    positive : bool
-        True: look at the entropy on positive numbers instead, whose D is convex although it is not quadratic.
+    ``positive``: look at the entropy on positive numbers instead, whose D is convex although it is not quadratic.
     """
     import sympy as sp
 
@@ -72,11 +68,7 @@ def check_only_quadratics(effort: Effort, positive: bool = False) -> Evidence:
 def check_assumption_6(effort: Effort, value: Callable[[Array], Array] | None = None) -> Evidence:
     """Sample strict convexity, c(e) > c(0) and the gradient of the library's loss, or of another function.
 
-    Parameters
-    ----------
-    effort : Effort
-    value : callable, optional
-        Another loss, (..., d) to (...), looked at with the gradient of the library's.
+    ``value``: another loss, (..., d) to (...), looked at with the gradient of the library's.
     """
     rng, squares = effort.rng("assumption-6"), WeightedSquares(np.array([0.5, 1.0, 3.0]))
     loss = value or squares.value

@@ -25,12 +25,8 @@ def stacked_signals(x: Array) -> Array:
 def regressor_matrix(x: Array, u: Array) -> Array:
     """Return R(k) of (17), with its Kronecker products written out, shape (window * n, n(n+q)).
 
-    Parameters
-    ----------
-    x : array, shape (window + 1, n)
-        x(k), ..., x(k-window).
-    u : array, shape (window, q)
-        u(k-1), ..., u(k-window).
+    ``x`` (window + 1, n): x(k), ..., x(k-window).
+    ``u`` (window, q): u(k-1), ..., u(k-window).
     """
     eye = np.eye(x.shape[1])
     return np.vstack([np.hstack([np.kron(a[None], eye), np.kron(b[None], eye)]) for a, b in zip(x[1:], u, strict=True)])
@@ -40,18 +36,11 @@ def regressor_matrix(x: Array, u: Array) -> Array:
 class Estimates:
     """What (15) makes of recorded signals.
 
-    Attributes
-    ----------
-    x : array, shape (K+1, n)
-        x(0), ..., x(K); zero before.
-    u : array, shape (K, q)
-        u(0), ..., u(K-1); zero before.
-    window : int
-        The paper's N bar.
-    best : sequence of SignalModel
-        theta*(1), ..., theta*(K); entry k - 1 belongs to k.
-    models : sequence of SignalModel
-        theta~(0), ..., theta~(K).
+    ``x`` (K+1, n): x(0), ..., x(K); zero before.
+    ``u`` (K, q): u(0), ..., u(K-1); zero before.
+    ``window``: the paper's N bar.
+    ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
+    ``models``: theta~(0), ..., theta~(K).
     """
 
     x: Array
@@ -87,19 +76,11 @@ class Estimates:
 
 
 def estimate(x: Array, u: Array, initial: SignalModel, window: int, mixing: Array, first: int = 1) -> Estimates:
-    """Run the estimator (15) with squares on recorded signals.
+    """Run the estimator (15) with squares on recorded x, shape (K+1, n), and u, shape (K, q).
 
-    Parameters
-    ----------
-    x : array, shape (K+1, n)
-    u : array, shape (K, q)
-    initial : SignalModel
-        theta~(0).
-    window : int
-    mixing : array, shape (K,)
-        lambda_1, ..., lambda_K.
-    first : int
-        The first k at which the estimate may move; ``window`` keeps the zeros before k = 0 out of it.
+    ``initial``: theta~(0).
+    ``mixing`` (K,): lambda_1, ..., lambda_K.
+    ``first``: the first k at which the estimate may move; ``window`` keeps the zeros before k = 0 out of it.
     """
     estimator = ProximalEstimator(window)
     best: list[SignalModel] = []
@@ -130,11 +111,6 @@ def spiral_estimates(steps: int, window: int = 1) -> Estimates:
 
     The signal is a number that stays zero, the inputs are unit vectors :math:`d_k` of the plane with
     :math:`\tilde B(k-1) d_k = \delta_k |\tilde B(k-1)|`, :math:`\delta_k = k^{-3/4}/2`. Assumption 7 holds.
-
-    Parameters
-    ----------
-    steps : int
-    window : int
     """
     estimator = ProximalEstimator(window)
     models, u = [SignalModel(np.zeros((1, 1)), np.array([[1.0, 0.0]]))], np.zeros((steps, 2))
@@ -150,14 +126,8 @@ def spiral_estimates(steps: int, window: int = 1) -> Estimates:
 def prediction_errors(record: Estimates, k: int, inputs: Array, truth: SignalModel) -> Array:
     """Return e_1(k), ..., e_N(k) of (8) for the powers (21) of theta~(k): prediction minus truth, shape (N, n).
 
-    Parameters
-    ----------
-    record : Estimates
-    k : int
-    inputs : array, shape (N, q)
-        The s_0, ..., s_{N-1}.
-    truth : SignalModel
-        The (A, B) of (18).
+    ``inputs`` (N, q): the s_0, ..., s_{N-1}.
+    ``truth``: the (A, B) of (18).
     """
     N, x = len(inputs), record.x[k]
     return (record.models[k].predictor(N).predict(x, inputs) - truth.predictor(N).predict(x, inputs))[1:]
@@ -174,16 +144,7 @@ def omegas(record: Estimates, k: int, N: int, truth: SignalModel) -> Array:
         2\sum_{j<i} c_{ij} \sigma_j^2 \|A^j\|^2,\quad
         \sum_{j<i} c_{ij} \sigma_j^2 \bigl(1 + 2j \max_{l<j}\|A^{l}B\|^2\bigr).
 
-    Parameters
-    ----------
-    record : Estimates
-    k, N : int
-        k + N must not exceed the number of steps.
-    truth : SignalModel
-
-    Returns
-    -------
-    array, shape (3,)
+    k + N must not exceed the number of steps.
     """
     model, exact = record.models[k], truth.predictor(N)
     growth = np.linalg.norm(model.predictor(N).A, ord=2, axis=(1, 2)) ** 2

@@ -26,11 +26,7 @@ WHY = "signals of size one to a hundred, one least-squares solution"
 def check_estimator(effort: Effort, weight: float = 1.0) -> Evidence:
     """Check that the closed loop's estimates are stationary for (15), written with Kronecker products, and its mixture.
 
-    Parameters
-    ----------
-    effort : Effort
-    weight : float
-        Weight of the proximal term that is assumed; the example takes 1.
+    ``weight``: weight of the proximal term that is assumed; the example takes 1.
     """
     example = linear_example()
     trace, found = simulate(example.scheme, example.plant, example.z0, 25), []
@@ -77,13 +73,8 @@ def check_lifting_example(effort: Effort, entries: int = 7) -> Evidence:
 def check_stacks(effort: Effort, what: str, wrong: bool = False) -> Evidence:
     """Check (16) and (17): s(k) - R(k) theta lists x(j) - A x(j-1) - B u(j-1), newest first.
 
-    Parameters
-    ----------
-    effort : Effort
-    what : str
-        For the generator of random numbers, "eq-16" or "eq-17".
-    wrong : bool
-        True: s(k) oldest first (eq-16), theta row by row (eq-17).
+    ``what``: for the generator of random numbers, "eq-16" or "eq-17".
+    ``wrong``: s(k) oldest first (eq-16), theta row by row (eq-17).
     """
     rng, found = effort.rng(what), []
     for _ in range(effort.cases):
@@ -117,11 +108,7 @@ def check_least_squares(effort: Effort, weight: float = 1.0) -> Evidence:
 def check_carleman(effort: Effort, power: int = 2) -> Evidence:
     """Verify symbolically that z1+ = z1 + z2^2 + u, z2+ = z2/2 is linear in (z1, z2, z2^2) (Remark 3).
 
-    Parameters
-    ----------
-    effort : Effort
-    power : int
-        Exponent in the plant; with 3 the lifting does not close.
+    ``power``: exponent in the plant; with 3 the lifting does not close.
     """
     import sympy as sp
 
@@ -140,11 +127,7 @@ def _whole(rng: np.random.Generator, largest: int, shape: tuple[int, int]) -> Ar
 def check_powers(effort: Effort, slip: int = 0) -> Evidence:
     """Compare (21) with integers, exactly; see that predicting i steps and then j is predicting i + j, (7).
 
-    Parameters
-    ----------
-    effort : Effort
-    slip : int
-        Takes B_{i} = A^{i+slip} B instead.
+    ``slip``: take B_{i} = A^{i+slip} B instead.
     """
     rng, found = effort.rng("eq-21"), []
     for _ in range(effort.cases):

@@ -16,13 +16,9 @@ from rhl.plants.analysis import observability, pbh, spectral_radius
 class KalmanForm:
     """A plant in the block form of equation (52), before a change of coordinates hides it.
 
-    Attributes
-    ----------
-    F, G, H : array
-        z = [z_1; z_2; z_3]: controllable and observable; observable, stable, not controllable; stable, not
-        observable.
-    sizes : tuple of int
-        Of the three blocks.
+    ``F``, ``G``, ``H``: z = [z_1; z_2; z_3]: controllable and observable; observable, stable, not controllable; stable,
+    not observable.
+    ``sizes``: of the three blocks.
     """
 
     F: Array
@@ -44,22 +40,10 @@ class KalmanForm:
 def kalman_form(
     rng: np.random.Generator, p: int, q: int, sizes: tuple[int, int, int], hidden_radius: float = 0.8
 ) -> KalmanForm:
-    """Draw a plant of the form (52).
+    """Draw a plant of the form (52), again and again until the observability matrix of (53) is well conditioned.
 
-    Parameters
-    ----------
-    rng : Generator
-    p, q : int
-        Numbers of outputs and inputs.
-    sizes : tuple of int
-        Of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
-    hidden_radius : float
-        Spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
-
-    Returns
-    -------
-    KalmanForm
-        Redrawn until the observability matrix of (53) is well conditioned.
+    ``sizes`` are those of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
+    ``hidden_radius``: spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
     """
     n1, n2, _ = sizes
     n = sum(sizes)

@@ -49,10 +49,7 @@ ALIASES = {"lambda-search": "lemma-5", "brief-lemma-4": "lemma-5"}
 def select(ids: Sequence[str]) -> list[Claim]:
     """Return the claims of these ids, in the ledger's order; all where none is given.
 
-    Raises
-    ------
-    InputError
-        If an id is not in the ledger.
+    InputError if an id is not in the ledger.
     """
     wanted = {ALIASES.get(id, id) for id in ids}
     unknown = sorted(wanted - {claim.id for claim in CLAIMS})
@@ -66,16 +63,7 @@ def run(
 ) -> list[Judgement]:
     """Judge claims one after the other.
 
-    Parameters
-    ----------
-    claims : iterable of Claim
-    effort : Effort
-    progress : callable, optional
-        Called with each judgement as it is made.
-
-    Returns
-    -------
-    list of Judgement
+    ``progress``: called with each judgement as it is made.
     """
     judgements = []
     for claim in claims:

@@ -37,18 +37,10 @@ def random_weight(rng: np.random.Generator, n: int) -> Array:
 
 
 def stacked_form(maps: PredictorMaps, Q: Array, R: Array) -> tuple[Array, Array, Array]:
-    """Write V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
+    """Return H, C and B of V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
 
-    Parameters
-    ----------
-    maps : PredictorMaps
-    Q, R : array
-
-    Returns
-    -------
-    H, C, B : array
-        For w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are
-        predicted to be, and xi_N = r.
+    w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are predicted to be,
+    and xi_N = r.
     """
     N, n, q = maps.horizon, maps.n, maps.q
     width = n + q
@@ -94,11 +86,7 @@ def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
 def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
     """Superpose solutions of V3 and compare with an independent solver.
 
-    Parameters
-    ----------
-    effort : Effort
-    bend : float
-        Add that much of |x| to r, so that the right side is no longer linear in (x, r).
+    ``bend``: add that much of |x| to r, so that the right side is no longer linear in (x, r).
     """
     rng, gaps = effort.rng("lemma-1.a"), []
     for _ in range(effort.cases):
@@ -117,15 +105,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
 def polarise(value: Callable[[Array], float], size: int) -> Array:
     """Return the symmetric S with value(p) = p'Sp, from values alone: S_ab = (value(a + b) - value(a - b)) / 4.
 
-    Parameters
-    ----------
-    value : callable
-        From an array of shape (size,); what it returns is checked by whoever asks.
-    size : int
-
-    Returns
-    -------
-    array, shape (size, size)
+    S has shape (size, size). ``value`` takes arrays of shape (size,); what it returns is checked by whoever asks.
     """
     eye = np.eye(size)
     S = np.array([[(value(a + b) - value(a - b)) / 4 for b in eye] for a in eye])
@@ -135,11 +115,7 @@ def polarise(value: Callable[[Array], float], size: int) -> Array:
 def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
     """Recover S_3, S_4, S_5 of V_3 = x'S_3x + x'S_4r + r'S_5r by probing, and predict values elsewhere.
 
-    Parameters
-    ----------
-    effort : Effort
-    cubic : float
-        Add that much of |x|^3 to the values, which no quadratic form can follow.
+    ``cubic``: add that much of |x|^3 to the values, which no quadratic form can follow.
     """
     rng, gaps = effort.rng("lemma-1.a.value"), []
     for _ in range(max(1, effort.cases // 4)):
@@ -161,17 +137,8 @@ def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
 def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
     """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols x, r, a1, a2, b0, b1, Q, R.
 
-    Parameters
-    ----------
-    R_sign : int
-        0 takes R = 0 and the stage weight Q = 0.
-
-    Returns
-    -------
-    solutions : list of dict
-        For v0, v1 and the multiplier mu.
-    curvature : sympy expression
-        The objective's second derivative along (1, -b1/b0), the one direction that leaves xi_2 as it is.
+    Returns the solutions, for v0, v1 and the multiplier mu, and the objective's second derivative along (1, -b1/b0),
+    the one direction that leaves xi_2 as it is. ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
     """
     import sympy as sp  # here, because it takes a while to load
 
@@ -189,12 +156,8 @@ def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
 def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
     """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols: one solution, linear in x and r.
 
-    Parameters
-    ----------
-    effort : Effort
-        Not used: nothing is drawn.
-    R_sign : int
-        0 takes R = 0 and the stage weight Q = 0, which leaves the solution open.
+    ``effort`` is not used: nothing is drawn.
+    ``R_sign``: 0 takes R = 0 and the stage weight Q = 0, which leaves the solution open.
     """
     import sympy as sp  # here, because it takes a while to load
 
@@ -216,11 +179,7 @@ def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
 def check_v2(effort: Effort, sample: bool = False) -> Evidence:
     """Superpose least-norm solutions of V2, and recover its value as a positive semidefinite form.
 
-    Parameters
-    ----------
-    effort : Effort
-    sample : bool
-        Take some other minimiser of V2, chosen differently for each x.
+    ``sample``: take some other minimiser of V2, chosen differently for each x.
     """
     rng, gaps = effort.rng("lemma-1.b"), []
     for _ in range(effort.cases):
@@ -248,13 +207,8 @@ def check_v2(effort: Effort, sample: bool = False) -> Evidence:
 def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
     """Find by how much the rank of C(k) falls short of what the remark to Assumption 5 says.
 
-    Parameters
-    ----------
-    effort : Effort
-    of : {"column", "row"}
-        Full column rank, as printed, or full row rank.
-    full : bool
-        False draws maps whose [B_0, ..., B_{N-1}] has a rank below n.
+    ``of`` {"column", "row"}: full column rank, as printed, or full row rank.
+    ``full`` False draws maps whose [B_0, ..., B_{N-1}] has a rank below n.
     """
     rng, short = effort.rng("assumption-5.rank"), []
     for _ in range(effort.cases):
@@ -269,15 +223,7 @@ def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
 def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, float]:
     """Return the norm of V3's gain, from [x; r] to all nu_i and xi_i with i < N, and the bound that is shown for it.
 
-    Parameters
-    ----------
-    maps : PredictorMaps
-        With [B_0, ..., B_{N-1}] of rank n.
-    Q, R : array
-
-    Returns
-    -------
-    float, float
+    ``maps``: with [B_0, ..., B_{N-1}] of rank n.
     """
     H, C, B = stacked_form(maps, Q, R)
     n = maps.n
@@ -293,11 +239,7 @@ def check_bound(effort: Effort, full: bool = True) -> Evidence:
     The gain C'(CC')^-1 B is feasible, so the optimal one has w'Hw no larger, and is at most sqrt(cond H) times as large
     (H on the entries that are free).
 
-    Parameters
-    ----------
-    effort : Effort
-    full : bool
-        False lets the rank condition fail: V3 is then infeasible for some (x, r), and no bound exists.
+    ``full`` False lets the rank condition fail: V3 is then infeasible for some (x, r), and no bound exists.
     """
     rng, excess = effort.rng("assumption-5.bound"), []
     for _ in range(effort.cases):
@@ -323,12 +265,8 @@ def weakly_reached(delta: float) -> PredictorMaps:
 def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
     """See how large V3's gains become while V1's stay bounded, as the second state is reached ever more weakly.
 
-    Parameters
-    ----------
-    effort : Effort
-        Not used: nothing is drawn.
-    least : float
-        The smallest delta.
+    ``effort`` is not used: nothing is drawn.
+    ``least``: the smallest delta.
     """
     ours, theirs = [], []
     for delta in np.geomspace(1.0, least, 7):
@@ -344,12 +282,7 @@ def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
 def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
     """Recompute the certificate of the library's plan for a problem.
 
-    Parameters
-    ----------
-    effort : Effort
-    which : {"V1", "V2", "V3"}
-    nudge : float
-        Move the plan's inputs by that much.
+    ``nudge``: move the plan's inputs by that much.
     """
     rng, worst = effort.rng(which), []
     for _ in range(effort.cases):

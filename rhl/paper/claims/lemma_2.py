@@ -64,11 +64,7 @@ def along(violation: Violation, effort: Effort, error_decay: float = 0.6) -> Evi
 def check_young(effort: Effort, skew: float = 0.0) -> Evidence:
     """(29) for random symmetric Q and for the y that makes it tight.
 
-    Parameters
-    ----------
-    effort : Effort
-    skew : float
-        Add a skew-symmetric part to Q, which x'Qx does not see.
+    ``skew``: add a skew-symmetric part to Q, which x'Qx does not see.
     """
     rng = effort.rng("eq-29")
     excess = []
@@ -91,11 +87,7 @@ def check_constant(effort: Effort, with_c: bool) -> Evidence:
 
     An exact predictor and r(k) = 0, so that all beta are zero; r(k+1) such that Young's inequality is tight.
 
-    Parameters
-    ----------
-    effort : Effort
-    with_c : bool
-        Take 2 rho-bar c < mu; otherwise 2 rho-bar < mu, as printed.
+    ``with_c``: take 2 rho-bar c < mu; otherwise 2 rho-bar < mu, as printed.
     """
     rng = effort.rng("eq-38.constant")
     excess = []
@@ -120,11 +112,7 @@ def check_constant(effort: Effort, with_c: bool) -> Evidence:
 def check_rest(effort: Effort, floor: float = 0.0) -> Evidence:
     """Run closed loops with V3, models that approach the plant, and r(k) -> 0.
 
-    Parameters
-    ----------
-    effort : Effort
-    floor : float
-        Keep r(k) at least this large instead.
+    ``floor``: keep r(k) at least this large instead.
     """
     rng = effort.rng("lemma-2.rest")
     found: list[float] = []
@@ -137,13 +125,9 @@ def check_rest(effort: Effort, floor: float = 0.0) -> Evidence:
 def check_gains(effort: Effort, floor: float = 0.1) -> Evidence:
     """Run a model that approaches the plant and, with floor 0, loses controllability: its gains grow beyond bounds.
 
-    Parameters
-    ----------
-    effort : Effort
-        Not used: nothing is drawn.
-    floor : float
-        How far the model's second state stays within reach; with a floor the gains are bounded, and e_1 decays all
-        the same because x and u do.
+    ``effort`` is not used: nothing is drawn.
+    ``floor``: how far the model's second state stays within reach; with a floor the gains are bounded, and e_1 decays
+    all the same because x and u do.
     """
     last = float(at_the_end(losing(4000, floor))[0])
     return Evidence(1, last, 5e-3, "r(k) = 1/(k+1) is 3e-4 of what it was, times the gain 1/floor")
@@ -152,13 +136,8 @@ def check_gains(effort: Effort, floor: float = 0.1) -> Evidence:
 def check_turning(effort: Effort, spin: float | None = None, growth: float = PLANE) -> Evidence:
     """Run a model that turns for ever in ever smaller steps, right about the step taken and about little else.
 
-    Parameters
-    ----------
-    effort : Effort
-    spin : float, optional
-        Turn by this angle at every step instead.
-    growth : float
-        Of the plant; with another one the model is wrong about the step taken too.
+    ``spin``: turn by this angle at every step instead.
+    ``growth`` is the plant's; with another one the model is wrong about the step taken too.
     """
     k = np.arange(161.0)
     phase = np.sqrt(k) if spin is None else spin * k
@@ -174,11 +153,7 @@ def check_turning(effort: Effort, spin: float | None = None, growth: float = PLA
 def check_second_step(effort: Effort, growth: float = PLANE) -> Evidence:
     """Look whether the model's two-step errors stay at least a tenth of the state while its one-step errors vanish.
 
-    Parameters
-    ----------
-    effort : Effort
-    growth : float
-        Of the plant; the model is made for the default.
+    ``growth`` is the plant's; the model is made for the default.
     """
     k = np.arange(41.0)
     x0 = effort.rng("lemma-2.one-step").normal(size=(max(2, effort.cases // 10), 2))

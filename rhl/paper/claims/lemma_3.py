@@ -38,21 +38,9 @@ def draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array, Array, 
 def ratio(
     maps: PredictorMaps, Q: Array, R: Array, QN: Array, x: Array, epsilon: float, gamma_factor: float
 ) -> tuple[float, float]:
-    """Return (x_N'Q_N x_N - V2) / (epsilon rho) for Gamma = gamma_factor * size of V2's solution, and its rounding.
+    """Return (x_N'Q_N x_N - V2) / (epsilon rho), at most 1 by the lemma, and its rounding, from x, shape (n,).
 
-    Parameters
-    ----------
-    maps : PredictorMaps
-    Q, R, QN : array
-    x : array, shape (n,)
-    epsilon : float
-    gamma_factor : float
-        1 makes Gamma as small as the lemma allows for c = 1.
-
-    Returns
-    -------
-    float, float
-        The lemma says that the first is at most 1.
+    Gamma is gamma_factor times the size of V2's solution; 1 makes it as small as the lemma allows for c = 1.
     """
     best = solve(V2(maps, QN, maps.horizon), x)
     gamma = gamma_factor * size_of(best)
@@ -64,11 +52,7 @@ def ratio(
 def check_bound(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
     """Find by how much (12) is exceeded with the explicit rho, over epsilon from 1e-10 to 1e3.
 
-    Parameters
-    ----------
-    effort : Effort
-    gamma_factor : float
-        Below 1, Gamma is smaller than the lemma asks for.
+    ``gamma_factor``: below 1, Gamma is smaller than the lemma asks for.
     """
     rng, excess = effort.rng("lemma-3"), []
     for _ in range(effort.cases):
@@ -82,11 +66,7 @@ def check_bound(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
 def check_step(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
     """Check the inequality behind (39): V1 costs no more than V2's solution does, and that is bounded by rho Gamma.
 
-    Parameters
-    ----------
-    effort : Effort
-    gamma_factor : float
-        Below 1, Gamma is smaller than the lemma asks for.
+    ``gamma_factor``: below 1, Gamma is smaller than the lemma asks for.
     """
     rng, excess = effort.rng("eq-39"), []
     for _ in range(effort.cases):
@@ -115,11 +95,7 @@ def scalar_case(a: float) -> tuple[PredictorMaps, Array, Array, Array, Array]:
 def check_quarter(effort: Effort, share: float = 0.25) -> Evidence:
     """Find by how much the excess of (12) passes that share of eps rho, over random maps and the scalar case.
 
-    Parameters
-    ----------
-    effort : Effort
-    share : float
-        A quarter; no smaller constant will do.
+    ``share``: a quarter; no smaller constant will do.
     """
     rng, excess = effort.rng("lemma-3.quarter"), []
     for _ in range(effort.cases):

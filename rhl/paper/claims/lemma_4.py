@@ -87,11 +87,7 @@ def check_no_limit(effort: Effort, exponent: float = 0.75) -> Evidence:
 def check_convergence(effort: Effort, consistent: bool = True) -> Evidence:
     """Lemma 4 as stated on three sequences with X = {0}: how far the last iterate is from the half-way one and from 0.
 
-    Parameters
-    ----------
-    effort : Effort
-    consistent : bool
-        False: the first sequence loses its common minimiser, and the two counterexamples are left out.
+    ``consistent`` False: the first sequence loses its common minimiser, and the two counterexamples are left out.
     """
     axes = np.eye(2)
     alternating = [Ridge(axes[k % 2], 0.0 if consistent else float(k // 2 % 2)) for k in range(100)]
@@ -105,13 +101,9 @@ def check_convergence(effort: Effort, consistent: bool = True) -> Evidence:
 
 
 def check_path(effort: Effort, rate: float = 1.5) -> Evidence:
-    r"""Check the length of the path for functions whose gradients flatten: Lipschitz constants :math:`L_k = L k^{-e}`.
+    """Check the length of the path for functions whose gradients flatten: Lipschitz constants :math:`L_k = L k^{-e}`.
 
-    Parameters
-    ----------
-    effort : Effort
-    rate : float
-        e of the functions; the bound always takes e = 1.5.
+    ``rate``: e of the functions; the bound always takes e = 1.5.
     """
     rng, found = effort.rng("lemma-4.summable"), []
     for _ in range(max(effort.cases, 40)):
@@ -134,11 +126,8 @@ def check_path(effort: Effort, rate: float = 1.5) -> Evidence:
 def check_interior(effort: Effort, radius: float | None = None) -> Evidence:
     r"""Check the path where X holds a ball, :math:`D=|x-y|^2`: its length is at most :math:`|\tilde x_0-c|^2/(2r)`.
 
-    Parameters
-    ----------
-    effort : Effort
-    radius : float, optional
-        What the bound takes for r, on the spiral, whose X is a point; the true one, on random half-spaces, if omitted.
+    ``radius``: what the bound takes for r, on the spiral, whose X is a point; the true one, on random half-spaces, if
+    omitted.
     """
     if radius is not None:
         run = spiral(3000)
@@ -168,11 +157,7 @@ def check_recurrent(effort: Effort, forgotten: bool = False) -> Evidence:
 def check_common_minimiser(effort: Effort, noise: float = 0.0) -> Evidence:
     """Check (19) for the estimator: data of one signal model, hardly exciting, have a parameter that fits all of them.
 
-    Parameters
-    ----------
-    effort : Effort
-    noise : float
-        Added to the data, which then obey no signal model.
+    ``noise``: added to the data, which then obey no signal model.
     """
     rng, found = effort.rng("eq-19"), []
     for _ in range(effort.cases):
@@ -192,11 +177,7 @@ def check_common_minimiser(effort: Effort, noise: float = 0.0) -> Evidence:
 def check_iteration(effort: Effort, library: float = 1.0) -> Evidence:
     """Check that the library's estimator is (20): one transition, compared with the general proximal step row by row.
 
-    Parameters
-    ----------
-    effort : Effort
-    library : float
-        Weight of the generator that the library is given; the iteration takes 1.
+    ``library``: weight of the generator that the library is given; the iteration takes 1.
     """
     rng, found = effort.rng("eq-20"), []
     estimator = ProximalEstimator(1, generator=WeightedSquares(library))

@@ -39,22 +39,9 @@ def is_controllable(A: Any, B: Any) -> bool:
 def random_pairs(
     rng: np.random.Generator, n: int, q: int, count: int, controllable: bool = True
 ) -> Iterator[tuple[Pair, Pair]]:
-    """Draw integer pairs: the first not controllable, the second controllable (or not, for the control).
+    """Yield integer pairs (A_u, B_u), not controllable, and (A_c, B_c), ``controllable`` or not (for the control).
 
-    Parameters
-    ----------
-    rng : Generator
-    n, q : int
-        Sizes.
-    count : int
-        How many.
-    controllable : bool
-        Whether the second pair is to be controllable.
-
-    Yields
-    ------
-    (A_u, B_u), (A_c, B_c)
-        The uncontrollable modes sit in random integer coordinates of determinant one.
+    The uncontrollable modes sit in random integer coordinates of determinant one.
     """
     made = 0
     while made < count:
@@ -86,18 +73,8 @@ def crossing_pairs(n: int, roots: Sequence[Fraction]) -> tuple[tuple[Any, Any], 
 
     With A(lambda) = diag(alpha_i(lambda)) and B(lambda) = (beta_i(lambda)), all straight lines, the determinant of
     the controllability matrix is the product of all beta_i and of all alpha_j - alpha_i: n(n+1)/2 linear factors.
-
-    Parameters
-    ----------
-    n : int
-        Order.
-    roots : sequence of Fraction
-        Where beta_1, ..., beta_n vanish; one of them at 0.
-
-    Returns
-    -------
-    (A_u, B_u), (A_c, B_c)
-        Lists of lists of Fraction. The lines alpha_i cross pairwise inside (0, 1), at different places.
+    ``roots`` are where beta_1, ..., beta_n vanish; one of them at 0. The lines alpha_i cross pairwise inside (0, 1), at
+    different places. A and B are lists of lists of Fraction.
     """
     # Squares break the symmetry that would let three lines cross in one point.
     start = [Fraction(i * i + i, n * n) for i in range(n)]
@@ -110,16 +87,8 @@ def crossing_pairs(n: int, roots: Sequence[Fraction]) -> tuple[tuple[Any, Any], 
 def polynomial(first: tuple[Any, Any], second: tuple[Any, Any], columns: Sequence[int] | None = None) -> sp.Poly:
     """Return p(lambda) = det(C C'), or the minor of C on some columns, over the mixture, exactly.
 
-    Parameters
-    ----------
-    first, second : pairs of matrices
-        At lambda = 0 and at lambda = 1.
-    columns : sequence of int, optional
-        n columns of [B, AB, ..., A^(n-1) B]; all and their Gram determinant where omitted.
-
-    Returns
-    -------
-    sympy.Poly
+    ``first``, ``second``: at lambda = 0 and at lambda = 1.
+    ``columns``: n columns of [B, AB, ..., A^(n-1) B]; all and their Gram determinant where omitted.
     """
     import sympy as sp
     from sympy.polys.matrices import DomainMatrix
@@ -170,11 +139,7 @@ _SIZES = ((1, 1), (2, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2))
 def check_lemma(effort: Effort, controllable: bool = True) -> Evidence:
     """Count faults of the lemma over integer pairs: degree, p(0), p(1), roots, and one good candidate in 2n^2+1.
 
-    Parameters
-    ----------
-    effort : Effort
-    controllable : bool
-        Whether (A_c, B_c) is.
+    ``controllable``: whether (A_c, B_c) is.
     """
     import sympy as sp
 
@@ -194,11 +159,7 @@ def check_lemma(effort: Effort, controllable: bool = True) -> Evidence:
 def check_count(effort: Effort, fewer: int = 0) -> Evidence:
     """Count pairs for which n(n+1)/2 - fewer nonzero candidates are all bad, adversarial pairs among them.
 
-    Parameters
-    ----------
-    effort : Effort
-    fewer : int
-        Give the search that many candidates fewer; the adversary puts its roots on them.
+    ``fewer``: give the search that many candidates fewer; the adversary puts its roots on them.
     """
     import sympy as sp
 
@@ -224,12 +185,8 @@ def check_count(effort: Effort, fewer: int = 0) -> Evidence:
 def check_sharp(effort: Effort, roots: int = 0) -> Evidence:
     """See whether the crossing lines have n(n+1)/2 - 1 different bad lambdas inside (0, 1), for n = 2, ..., 5.
 
-    Parameters
-    ----------
-    effort : Effort
-        Not used: nothing is drawn.
-    roots : int
-        Ask for that many more, which no pair can have.
+    ``effort`` is not used: nothing is drawn.
+    ``roots``: ask for that many more, which no pair can have.
     """
     import sympy as sp
 
@@ -246,11 +203,7 @@ def check_sharp(effort: Effort, roots: int = 0) -> Evidence:
 def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
     """Find by how much the degree of any n-minor exceeds its bound, over random pairs and all minors.
 
-    Parameters
-    ----------
-    effort : Effort
-    lower : int
-        Lower the bound by that much.
+    ``lower``: lower the bound by that much.
     """
     rng, excess = effort.rng("lemma-5.minors"), []
     for n, q in ((1, 1), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)):
@@ -263,11 +216,7 @@ def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
 def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
     """Run the library's search on random pairs that are not controllable, and see by how much it misses the margin.
 
-    Parameters
-    ----------
-    effort : Effort
-    mix : bool
-        False leaves the estimate as it is.
+    ``mix`` False leaves the estimate as it is.
     """
     rng, short = effort.rng("lemma-5.search"), []
     for n, q in _SIZES:
@@ -283,11 +232,7 @@ def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
 def check_lifted_is_enough(effort: Effort, on: str) -> Evidence:
     """Count pairs y+ = a y + b v - a b v(k-1) whose mixture the controller cannot use; all are controllable as lifted.
 
-    Parameters
-    ----------
-    effort : Effort
-    on : {"lifted", "augmented"}
-        Which pair the search keeps controllable.
+    ``on`` {"lifted", "augmented"}: which pair the search keeps controllable.
     """
     rng, faults, cases = effort.rng("theorem-2.iii"), 0, 0
     lifting = DelayLifting(1, 2)
@@ -306,11 +251,7 @@ def check_lifted_is_enough(effort: Effort, on: str) -> Evidence:
 def check_affine(effort: Effort, power: int = 1) -> Evidence:
     """Compare the augmentation of a mixture with the mixture of the augmentations, on integers.
 
-    Parameters
-    ----------
-    effort : Effort
-    power : int
-        Mix the entries' powers instead, which is no longer affine.
+    ``power``: mix the entries' powers instead, which is no longer affine.
     """
     rng, gaps = effort.rng("theorem-2.iii.affine"), []
     for _ in range(effort.cases):

@@ -48,13 +48,8 @@ def _draw(rng: np.random.Generator, hidden_radius: float = 0.8) -> tuple[KalmanF
 def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) -> Evidence:
     """(18) on data of random plants with uncontrollable and unobservable modes, in unknown coordinates.
 
-    Parameters
-    ----------
-    effort : Effort
-    first : int, optional
-        First k that is looked at; m - 1, from where the stacks are full of measurements, where omitted.
-    detune : float
-        Make the pair (55) of a plant whose input matrix is larger by that share.
+    ``first``: first k that is looked at; m - 1, from where the stacks are full of measurements, where omitted.
+    ``detune``: make the pair (55) of a plant whose input matrix is larger by that share.
     """
     rng = effort.rng("lemma-6.data")
     misfits = []
@@ -86,13 +81,8 @@ def check_index(effort: Effort, shorten: int = 0) -> Evidence:
 def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = False) -> Evidence:
     """PBH test of the pair (55), lifted or augmented: how far below the threshold its smallest singular value falls.
 
-    Parameters
-    ----------
-    effort : Effort
-    augmented : bool
-        Test Remark 4's augmented pair.
-    deaf : bool
-        Cut the inputs off the unstable block, so that the plant is not stabilizable.
+    ``augmented``: test Remark 4's augmented pair.
+    ``deaf``: cut the inputs off the unstable block, so that the plant is not stabilizable.
     """
     rng = effort.rng("lemma-6.stabilizable")
     short = []
@@ -111,11 +101,7 @@ def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = Fal
 def check_feedback_step(effort: Effort, as_printed: bool) -> Evidence:
     """Under v = K_s z_s, the proof's w(k) moves by F_s + G_s K_s.
 
-    Parameters
-    ----------
-    effort : Effort
-    as_printed : bool
-        Take w(k) = O' x(k), as printed, instead of O^+ (x(k) - R u(k-1)).
+    ``as_printed``: take w(k) = O' x(k), as printed, instead of O^+ (x(k) - R u(k-1)).
     """
     rng = effort.rng("lemma-6.proof")
     gaps = []
@@ -162,11 +148,7 @@ def check_kalman(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
     The unobservable subspace, and within its complement the controllable part, are found from the plant alone; in their
     coordinates the blocks that (52) has as zero must be zero, and F_3, F_6 must be stable.
 
-    Parameters
-    ----------
-    effort : Effort
-    hidden_radius : float
-        Spectral radius of the unobservable block.
+    ``hidden_radius``: spectral radius of the unobservable block.
     """
     rng = effort.rng("eq-52")
     faults = []
@@ -188,11 +170,7 @@ def check_kalman(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
 def check_subsystem(effort: Effort, leak: float = 0.0) -> Evidence:
     """Compare the outputs of (52) with those of (53): the block z_3 is never seen.
 
-    Parameters
-    ----------
-    effort : Effort
-    leak : float
-        Let z_3 into the output with this gain.
+    ``leak``: let z_3 into the output with this gain.
     """
     rng = effort.rng("eq-53")
     gaps = []
@@ -210,11 +188,7 @@ def check_subsystem(effort: Effort, leak: float = 0.0) -> Evidence:
 def check_stack(effort: Effort, shift: int = 0) -> Evidence:
     """x(k) = O z_s(k-m+1) + R u(k-1), equation (54), along random runs.
 
-    Parameters
-    ----------
-    effort : Effort
-    shift : int
-        Take the state that many steps later than (54) says.
+    ``shift``: take the state that many steps later than (54) says.
     """
     rng = effort.rng("eq-54")
     gaps = []
@@ -237,11 +211,7 @@ def check_stack(effort: Effort, shift: int = 0) -> Evidence:
 def check_chain(effort: Effort, offset: int) -> Evidence:
     """Run the chain zeta_1+ = zeta_2, ..., zeta_{m-1}+ = v(k) of Remark 4 and see what zeta_1(k) is.
 
-    Parameters
-    ----------
-    effort : Effort
-    offset : int
-        Compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 as is right.
+    ``offset``: compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 as is right.
     """
     rng = effort.rng("remark-4.chain")
     gaps = []
@@ -259,11 +229,7 @@ def check_chain(effort: Effort, offset: int) -> Evidence:
 def check_augmented(effort: Effort, depth: int = 0) -> Evidence:
     """Remark 4: mp + (m-1)q states, driven by v(k) alone, give the same x(k) as the lifted pair driven by u(k).
 
-    Parameters
-    ----------
-    effort : Effort
-    depth : int
-        Carry that many past inputs fewer.
+    ``depth``: carry that many past inputs fewer.
     """
     rng = effort.rng("remark-4")
     gaps = []

@@ -26,20 +26,13 @@ SIZES = ((1, 1, 1), (1, 2, 2), (2, 1, 3), (2, 2, 2), (3, 2, 4))
 class Setting:
     """A system (2), signal models whose powers predict it, and terminal states r(k): a closed loop with V3.
 
-    Attributes
-    ----------
-    plant : SignalModel
-        A, B of equation (2), shapes (..., n, n), (..., n, q).
-    models : SignalModel
-        One for each k = 0 ... T, shapes (..., T+1, n, n), (..., T+1, n, q); their powers (21) are the predictor maps.
-    r : array, shape (..., T+1, n)
-        Terminal states asked for.
-    x0 : array, shape (..., n)
-        Initial state.
-    omegas : array, shape (..., T, 3)
-        The sequences omega_1, omega_2, omega_3 that bound e_1(k) in (8).
-    horizon : int
-        N.
+    ``plant``: A, B of equation (2), shapes (..., n, n), (..., n, q).
+    ``models``: one for each k = 0 ... T, shapes (..., T+1, n, n), (..., T+1, n, q); their powers (21) are the predictor
+    maps.
+    ``r`` (..., T+1, n): terminal states asked for.
+    ``x0`` (..., n): initial state.
+    ``omegas`` (..., T, 3): the sequences omega_1, omega_2, omega_3 that bound e_1(k) in (8).
+    ``horizon``: N.
     """
 
     plant: SignalModel
@@ -76,21 +69,13 @@ class Setting:
 class Terms:
     """What the proof of Lemma 2 speaks of, at k = 0 ... T-1 of a closed loop.
 
-    Attributes
-    ----------
-    setting : Setting
-    now, then : PredictorMaps
-        The maps at k and at k+1, shapes (..., T, N+1, n, n), (..., T, N, n, q).
-    plan, after, shifted : Plan
-        V3's solutions from x(k) to r(k); from x(k+1) to r(k+1); from x(k+1) to r~+. Weights Q = I, R = I.
-    e1 : array, shape (..., T, n)
-        The one-step error of (8).
-    tail : array, shape (..., T, N, q)
-        The old plan without its first input: nu_1 ... nu_{N-1}, 0.
-    xi_tilde : array, shape (..., T, N+1, n)
-        The new prediction under it; the last one is r~+ of (26).
-    w : array, shape (..., T, N+1, n)
-        By how much it misses the old one: xi~_i - xi_{i+1}, and for i = N r~+ - A_1(k) r.
+    ``now``, ``then``: the maps at k and at k+1, shapes (..., T, N+1, n, n), (..., T, N, n, q).
+    ``plan``, ``after``, ``shifted``: V3's solutions from x(k) to r(k); from x(k+1) to r(k+1); from x(k+1) to r~+.
+    Weights Q = I, R = I.
+    ``e1`` (..., T, n): the one-step error of (8).
+    ``tail`` (..., T, N, q): the old plan without its first input: nu_1 ... nu_{N-1}, 0.
+    ``xi_tilde`` (..., T, N+1, n): the new prediction under it; the last one is r~+ of (26).
+    ``w`` (..., T, N+1, n): by how much it misses the old one: xi~_i - xi_{i+1}, and for i = N r~+ - A_1(k) r.
     """
 
     setting: Setting
@@ -158,24 +143,14 @@ def follow(setting: Setting) -> Terms:
 class Bounds:
     """Explicit constants for the bounds of the proof, for Q = I and R = I.
 
-    Attributes
-    ----------
-    alpha : array, shape (..., T, N+1, 3)
-        alpha_{i,1}, alpha_{i,2}, alpha_{i,3} of (30), and for i = N of the bound above (34).
-    beta : array, shape (..., T, 3)
-        beta_1, beta_2, beta_3 of (33); 2 r'r is part of beta_3.
-    beta4 : array, shape (..., 1)
-        beta_4 = beta_5 of (33), the arbitrarily small one.
-    gamma : array, shape (..., T, 3)
-        gamma_1, gamma_2 of (36), and the constant term gamma_3.
-    c : array, shape (..., 1)
-        With ``|Ax + Bu|^2 <= 2c (|x|^2 + |u|^2)``, above (37).
-    rho_bar : array, shape (..., 1)
-        Young's constant in (36): mu / (2c).
-    gain : array, shape (..., 1)
-        M of Assumption 5(a).
-    value : array, shape (..., 1)
-        A bound of the value matrix S(k).
+    ``alpha`` (..., T, N+1, 3): alpha_{i,1}, alpha_{i,2}, alpha_{i,3} of (30), and for i = N of the bound above (34).
+    ``beta`` (..., T, 3): beta_1, beta_2, beta_3 of (33); 2 r'r is part of beta_3.
+    ``beta4`` (..., 1): beta_4 = beta_5 of (33), the arbitrarily small one.
+    ``gamma`` (..., T, 3): gamma_1, gamma_2 of (36), and the constant term gamma_3.
+    ``c`` (..., 1): with ``|Ax + Bu|^2 <= 2c (|x|^2 + |u|^2)``, above (37).
+    ``rho_bar`` (..., 1): Young's constant in (36): mu / (2c).
+    ``gain`` (..., 1): M of Assumption 5(a).
+    ``value`` (..., 1): a bound of the value matrix S(k).
     """
 
     alpha: Array
@@ -224,21 +199,10 @@ def draw(
 ) -> Setting:
     """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
 
-    Parameters
-    ----------
-    rng : Generator
-    count : int
-        How many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
-    sizes : tuple of int
-        n, q, N.
-    steps : int
-        T.
-    error_decay : float
-        The models' errors shrink by this factor a step.
-
-    Returns
-    -------
-    Setting
+    ``count``: how many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
+    ``sizes``: n, q, N.
+    ``steps``: T.
+    ``error_decay``: the models' errors shrink by this factor a step.
     """
     n, q, N = sizes
     fade = error_decay ** np.arange(steps + 1)[:, None, None]

@@ -40,17 +40,11 @@ def predict(maps: tuple[list[Exact], list[Exact]], i: int, x: Exact, inputs: Exa
 def commutation_gaps(
     maps: tuple[list[Exact], list[Exact]], x: Exact, s: Exact, printed: bool = False
 ) -> list[Fraction | int]:
-    """Return the differences of the three members of (7) for 0 <= i + j <= N + 1.
+    """Return the differences of the three members of (7) for 0 <= i + j <= N + 1 at x, shape (n).
 
-    Parameters
-    ----------
-    maps : tuple of lists
-        A_0 ... A_N and B_0 ... B_{N-1}.
-    x : array, shape (n)
-    s : array, shape (N+1, q)
-        Inputs; s_N has a part for i + j = N + 1 only.
-    printed : bool
-        Count a map that (7) names and (5) does not have as a difference of one.
+    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}.
+    ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
+    ``printed``: count a map that (7) names and (5) does not have as a difference of one.
     """
     N = len(maps[1])
     gaps: list[Fraction | int] = []
@@ -68,15 +62,10 @@ def commutation_gaps(
 
 
 def half_blind(rng: np.random.Generator, count: int = 1) -> tuple[SignalModel, SignalModel]:
-    """Draw plants with three states and two inputs, and predictors that are right about half of that.
+    """Draw plants, three states and two inputs, and predictors that are right about half of that, shapes (count, ...).
 
     The plant's third state is stable and stays at zero if it starts there. The predictor is wrong about what that
     state does, and believes that the second input does nothing, so that its plans never use it.
-
-    Returns
-    -------
-    plant, predictor : SignalModel
-        Shapes (count, 3, 3), (count, 3, 2).
     """
     A, B = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 3, 2))
     A[:, 2, :2], B[:, 2] = 0.0, 0.0
@@ -90,11 +79,8 @@ def half_blind(rng: np.random.Generator, count: int = 1) -> tuple[SignalModel, S
 def prediction_errors(plant: SignalModel, predictor: SignalModel, x0: Array, steps: int) -> tuple[Array, Array]:
     """Run the closed loop with V1 (Q = R = QN = 1, N = 4, Gamma/eps = (1+k) x'x).
 
-    Returns
-    -------
-    errors : array, shape (steps, ..., 5)
-        Lengths of e_i(k), i = 0 ... 4, of (8) with the planned inputs.
-    states : array, shape (steps, ..., n)
+    Returns the lengths of e_i(k), i = 0 ... 4, of (8) with the planned inputs, shape (steps, ..., 5), and the states,
+    shape (steps, ..., n).
     """
     truth, x = plant.predictor(4), x0
     errors, states = [], []

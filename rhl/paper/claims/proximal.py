@@ -67,16 +67,10 @@ SHAPES = ("square", "hinge", "huber", "quartic")
 class Ridge:
     r"""A convex function :math:`f(x) = w\,\varphi(a^\top x - b)` whose minimum is zero.
 
-    Attributes
-    ----------
-    a : array, shape (d,)
-        Direction; not zero.
-    b : float
-        Where the minimum is: at all x with a'x = b (with a'x <= b for the hinge).
-    shape : str
-        phi(t) is t^2 (square), max(0, t)^2 (hinge), sqrt(1 + t^2) - 1 (huber) or t^4 (quartic).
-    weight : float
-        w, positive.
+    ``a`` (d,): direction; not zero.
+    ``b``: where the minimum is: at all x with a'x = b (with a'x <= b for the hinge).
+    ``shape``: phi(t) is t^2 (square), max(0, t)^2 (hinge), sqrt(1 + t^2) - 1 (huber) or t^4 (quartic).
+    ``weight``: w, positive.
     """
 
     a: Array
@@ -110,21 +104,8 @@ class Ridge:
 
 
 def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
-    r"""Return the minimiser of :math:`f(x) + D(x, \tilde x_k)`, the first line of (20).
+    r"""Return the minimiser of :math:`f(x) + D(x, \tilde x_k)`, the first line of (20), shape (d,).
 
-    Parameters
-    ----------
-    f : Ridge
-    g : Mirror
-    centre : array, shape (d,)
-        The proximal centre.
-
-    Returns
-    -------
-    array, shape (d,)
-
-    Notes
-    -----
     By (41) the minimiser is ``g.inverse(grad g(centre) - w phi'(t) a)`` with t = a'x - b. What is left is one equation
     for the number t, with its root between 0 and the value of t at the centre; it is solved for their ratio.
     """
@@ -147,18 +128,11 @@ def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
 class Run:
     """Iterates of (20).
 
-    Attributes
-    ----------
-    functions : sequence of Ridge
-        f(., 0), ..., f(., K-1).
-    generator : Mirror
-        g.
-    centres : array, shape (K+1, d)
-        The centres: x~_0, ..., x~_K.
-    minimisers : array, shape (K, d)
-        x*_1, ..., x*_K.
-    mixing : array, shape (K,)
-        lambda_1, ..., lambda_K.
+    ``functions``: f(., 0), ..., f(., K-1).
+    ``generator``: g.
+    ``centres`` (K+1, d): the centres: x~_0, ..., x~_K.
+    ``minimisers`` (K, d): x*_1, ..., x*_K.
+    ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
 
     functions: Sequence[Ridge]
@@ -190,19 +164,9 @@ class Run:
 def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) -> Run:
     """Run the proximal iterations (20).
 
-    Parameters
-    ----------
-    functions : sequence of Ridge
-        f(., 0), f(., 1), ..., as many as steps are to be taken.
-    g : Mirror
-    start : array, shape (d,)
-        The first centre.
-    mixing : array, shape (K,)
-        lambda_1, ..., lambda_K.
-
-    Returns
-    -------
-    Run
+    ``functions``: f(., 0), f(., 1), ..., as many as steps are to be taken.
+    ``start`` (d,): the first centre.
+    ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
     centres, minimisers = [np.asarray(start, dtype=np.float64)], []
     for f, lam in zip(functions, mixing, strict=True):
@@ -212,22 +176,11 @@ def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) 
 
 
 def tangential_turns(steps: int, exponent: float = 0.75) -> tuple[Array, Array]:
-    r"""Return norm and angle of the spiral's iterates :math:`\tilde x_0, \dots, \tilde x_K`, without iterating.
+    r"""Return norm and angle, shape (steps+1,), of the spiral's :math:`\tilde x_0, \tilde x_1, \dots`, not iterating.
 
     With :math:`d_k` of length one, :math:`d_k^\top x = \delta_k |x|`, one step for :math:`(d_k^\top x)^2` with
     :math:`D = |x-y|^2` multiplies the squared norm by :math:`1 - 3\delta_k^2/4` and turns x by the angle whose tangent
-    is :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`.
-
-    Parameters
-    ----------
-    steps : int
-        K.
-    exponent : float
-        e in delta_k = k^-e / 2, k = 1, 2, ...
-
-    Returns
-    -------
-    norm, angle : array, shape (K+1,)
+    is :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`. ``exponent`` is the e of delta_k = k^-e / 2, k = 1, 2, ...
     """
     delta = 0.5 * np.arange(1, steps + 1, dtype=np.float64) ** -exponent
     norm = np.exp(0.5 * np.cumsum(np.log1p(-0.75 * delta**2)))
@@ -258,23 +211,11 @@ def draw_run(
     consistent: bool = True,
     scale: float = 1.0,
 ) -> tuple[Run, Array]:
-    """Run (20) on random convex functions with a common minimiser.
+    """Run (20) on random convex functions with a common minimiser; return the run and points of X, shape (3, d).
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    g : Mirror
-        Points are drawn positive, so that the entropy is at home too.
-    consistent : bool
-        False: without a common minimiser.
-    scale : float
-        How large the points are.
-
-    Returns
-    -------
-    run : Run
-    targets : array, shape (3, d)
-        Points of X (if there is one): the common minimiser and two more, as the functions leave a direction free.
+    The points (if there is one) are the common minimiser and two more, as the functions leave a direction free. They
+    are drawn positive, so that the entropy is at home too, and of size ``scale``. ``consistent`` False: without a
+    common minimiser.
     """
     d = int(rng.integers(2, 5))
     target, start, free = scale * rng.uniform(0.5, 2.0, (3, d))
@@ -355,17 +296,8 @@ def sum_excess(run: Run, target: Array, lambda_max: float = _MIXING) -> Array:
 def shrinking_limit(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
     r"""Enclose the limit of (20) for :math:`f(x,k) = \rho^k x^2`, :math:`D = |x-y|^2/2`, from x = 1, in exact numbers.
 
-    Parameters
-    ----------
-    ratio : Fraction
-        rho in (0, 1].
-    steps : int
-        After how many steps the tail is bounded.
-
-    Returns
-    -------
-    low, high : Fraction
-        x_K (1 - tail) and x_K; the tail is the sum of 2 rho^k from K on. Zero and x_K where that sum is no help.
+    ``ratio`` is rho in (0, 1]. Returns x_K (1 - tail) and x_K with K = ``steps``; the tail is the sum of 2 rho^k from K
+    on. Zero and x_K where that sum is no help.
     """
     x = Fraction(1)
     for k in range(steps):

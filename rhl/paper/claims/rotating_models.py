@@ -24,20 +24,10 @@ def turning(phase: Array, r: Array, x0: Array, growth: float = PLANE) -> Setting
     The plant is x+ = growth x + u. The model, at angle 0, is right about where its own plan from x to 0 leads in one
     step, and about nothing else; turned by any angle it is that still, for the plant looks the same from all sides.
 
-    Parameters
-    ----------
-    phase : array, shape (T+1)
-        Angles of the model at k = 0 ... T.
-    r : array, shape (T+1, 2)
-        Terminal states.
-    x0 : array, shape (runs, 2)
-        Initial states.
-    growth : float
-        Of the plant; the model is made for the default.
-
-    Returns
-    -------
-    Setting
+    ``phase`` (T+1): angles of the model at k = 0 ... T.
+    ``r`` (T+1, 2): terminal states.
+    ``x0`` (runs, 2): initial states.
+    ``growth`` is the plant's; the model is made for the default.
     """
     model = consistent_model()
     turn = rotation(phase)
@@ -75,16 +65,8 @@ def losing(steps: int, floor: float = 0.0) -> Setting:
     The plant's second state is stable and out of reach. The model thinks that the input reaches it a little, by
     1/(k+1), and is asked to bring it to 1/(k+1).
 
-    Parameters
-    ----------
-    steps : int
-        T.
-    floor : float
-        What the model keeps thinking of that reach, at least.
-
-    Returns
-    -------
-    Setting
+    ``steps``: T.
+    ``floor``: what the model keeps thinking of that reach, at least.
     """
     A, decay = np.diag([1.2, 0.5]), 1 / (np.arange(steps + 1) + 1)
     reach = np.maximum(decay, floor)

@@ -24,14 +24,9 @@ _SETTLED = 1e-2
 class Loop:
     """A closed loop of V1 and x+ = Ax + Bu, many systems at once.
 
-    Attributes
-    ----------
-    x : array, shape (steps + 1, systems, n)
-    u : array, shape (steps, systems, q)
-    r : array, shape (steps, systems, n)
-        The planned terminal states x_N(k).
-    best : array, shape (steps, systems)
-        V2(x(k)), the least terminal value that can be planned.
+    ``x`` (steps + 1, systems, n), ``u`` (steps, systems, q): states and inputs.
+    ``r`` (steps, systems, n): the planned terminal states x_N(k).
+    ``best`` (steps, systems): V2(x(k)), the least terminal value that can be planned.
     """
 
     x: Array
@@ -45,21 +40,8 @@ def close(
 ) -> Loop:
     """Close the loop of V1 and the system that its predictor is, equations (2) to (4), with Gamma = x'x.
 
-    Parameters
-    ----------
-    model : SignalModel
-        Batch of systems; also the predictor.
-    x0 : array, shape (systems, n)
-    epsilon : callable
-        k -> epsilon(k).
-    steps : int
-    horizon : int, optional
-        N; the order n where omitted, the least that Assumption 3 allows.
-
-    Returns
-    -------
-    Loop
-        With Q = Q_N = I and R = 100 I, the same for every system.
+    ``model`` is a batch of systems, x0, shape (systems, n), their states; Q = Q_N = I and R = 100 I for all of them.
+    ``horizon``: N; the order n where omitted, the least that Assumption 3 allows.
     """
     N = model.n if horizon is None else horizon
     x, states, inputs, ends, best = x0, [x0], [], [], []
@@ -102,13 +84,8 @@ def well_conditioned(model: SignalModel) -> Array:
 def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = falling) -> Evidence:
     """Run the loop on random stabilizable systems and see how far it has come down from its peak.
 
-    Parameters
-    ----------
-    effort : Effort
-    of : {"x", "r"}
-        Look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to vanish.
-    epsilon : callable
-        The schedule.
+    ``of`` {"x", "r"}: look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to
+    vanish.
     """
     model, x0 = systems(effort.rng("theorem-1"), 3 * effort.cases)
     chosen = np.flatnonzero(well_conditioned(model))[: effort.cases]
@@ -120,11 +97,7 @@ def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = fallin
 def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
     """Compare V1's solution with V3's for r = x_N, equation (40).
 
-    Parameters
-    ----------
-    effort : Effort
-    shift : float
-        Move r by that much.
+    ``shift``: move r by that much.
     """
     rng, gaps = effort.rng("eq-40"), []
     for _ in range(effort.cases):
@@ -141,17 +114,11 @@ def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
 class Changing:
     """A closed loop of V1 with N = 1 and x+ = a x + u, whose predictor a x + b(k) u changes; many systems at once.
 
-    Attributes
-    ----------
-    x : array, shape (steps + 1, systems)
-    plan_gain : array, shape (steps, systems)
-        Largest gain of V1's plan, which Assumption 5(b) wants bounded.
-    error : array, shape (steps, systems)
-        |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
-    least : array, shape (steps, systems)
-        V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
-    least_gain : array, shape (steps, systems)
-        Gain of V2's least-norm solution, on which Assumption 5 says nothing.
+    ``x`` (steps + 1, systems): states.
+    ``plan_gain`` (steps, systems): largest gain of V1's plan, which Assumption 5(b) wants bounded.
+    ``error`` (steps, systems): |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
+    ``least`` (steps, systems): V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
+    ``least_gain`` (steps, systems): gain of V2's least-norm solution, on which Assumption 5 says nothing.
     """
 
     x: Array
@@ -185,19 +152,7 @@ def change(
 ) -> Changing:
     """Close the loop of V1, N = 1 and all weights one, with x+ = a x + u and the changing predictor a x + b(k) u.
 
-    Parameters
-    ----------
-    a, x0 : array, shape (systems,)
-    b : callable
-        (k, a) -> b(k), shape (systems,).
-    epsilon : callable
-        k -> epsilon(k).
-    steps : int
-
-    Returns
-    -------
-    Changing
-        While x is not zero.
+    ``b``: (k, a) -> b(k), shape (systems,). The ratios are defined while x is not zero.
     """
     x, states, rows = np.asarray(x0, dtype=np.float64), [np.asarray(x0, dtype=np.float64)], []
     for k in range(steps):
@@ -217,13 +172,7 @@ def check_changing(
 ) -> Evidence:
     """Run unstable scalar systems whose predictor changes with k, and see how far the state has come down.
 
-    Parameters
-    ----------
-    effort : Effort
-    b : callable
-        The predictor's input gain, ``vanishing`` or ``settling``.
-    epsilon : callable
-        The schedule.
+    ``b``: the predictor's input gain, ``vanishing`` or ``settling``.
     """
     rng = effort.rng("theorem-1.changing")
     a, x0 = rng.uniform(1.1, 1.5, effort.cases), rng.uniform(0.1, 1.0, effort.cases)
@@ -243,11 +192,7 @@ def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (
     With N = 1 and Gamma = x^2 the closed loop is x(k+1) = a R x(k) / (R + Q_N x(k)^2 / epsilon(k)), whose factor is one
     where the terminal weight is R (a - 1) / Q_N; below that the state grows, above it falls.
 
-    Parameters
-    ----------
-    effort : Effort
-    epsilon : callable
-        The schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
+    ``epsilon``: the schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
     """
     rng = effort.rng("theorem-1.pace")
     a = rng.uniform(1.1, 2.0, effort.cases)

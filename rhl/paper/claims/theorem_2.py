@@ -30,18 +30,9 @@ _SETTLED = 1e-6
 
 
 def example_transitions(trace: Trace, first: int) -> tuple[Array, Array]:
-    """Return regressors [x(j-1); u(j-1)] and successors x(j) of a run, j = first, first + 1, ..., zero before k = 0.
+    """Return a run's regressors [x(j-1); u(j-1)] and successors x(j), j = first, first + 1, ..., zero before k = 0.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of one run.
-    first : int
-        0 for the transition into x(0).
-
-    Returns
-    -------
-    regressors, successors : array, shapes (transitions, n + q) and (transitions, n)
+    ``first``: 0 for the transition into x(0). Shapes (transitions, n + q) and (transitions, n).
     """
     lifting, steps = trace.scheme.lifting, len(trace)
     pad = lifting.outputs + 1
@@ -64,11 +55,7 @@ def check_prehistory(effort: Effort, first: int = 3) -> Evidence:
 def check_settles_outside(effort: Effort, fitted: bool = False) -> Evidence:
     """See the linear example's estimate come to rest at a model that misses consistent data by more than 0.1.
 
-    Parameters
-    ----------
-    effort : Effort
-    fitted : bool
-        True: look at a model that fits instead.
+    ``fitted``: look at a model that fits instead.
     """
     example = linear_example()
     trace = simulate(example.scheme, example.plant, example.z0, 200)
@@ -82,18 +69,9 @@ def check_settles_outside(effort: Effort, fitted: bool = False) -> Evidence:
 
 
 def example_record(trace: Trace) -> tuple[Estimates, SignalModel]:
-    """Return a run's lifted signals and estimates, and the one (A, B) that fits its transitions from x(3) on.
+    """Return the linear example's lifted signals and estimates, and the (A, B) that fits its transitions from x(3) on.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of the linear example.
-
-    Returns
-    -------
-    record : Estimates
-    truth : SignalModel
-        Of least norm, if more than one fits.
+    There is one such (A, B), or else it is that of least norm.
     """
     regressors, successors = example_transitions(trace, 1)
     n = trace.scheme.initial_model.n
@@ -108,24 +86,11 @@ def example_record(trace: Trace) -> tuple[Estimates, SignalModel]:
 def draw_estimates(
     rng: np.random.Generator, steps: int = 30, noise: float = 0.0, decay: float = 1.0, silent: bool = False
 ) -> tuple[Estimates, SignalModel, float]:
-    """Run the estimator on a random trajectory of a random signal model, with random mixing.
+    """Run the estimator on a random trajectory of a random signal model; return estimates, truth and lambda_max.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    steps : int
-    noise : float
-        Added to the signals, which then obey no signal model.
-    decay : float
-        By which the inputs shrink from step to step.
-    silent : bool
-        True: no inputs at all. Otherwise exciting ones, ones in one direction, or none.
-
-    Returns
-    -------
-    record : Estimates
-    truth : SignalModel
-    lambda_max : float
+    ``noise``: added to the signals, which then obey no signal model.
+    ``decay``: by which the inputs shrink from step to step.
+    ``silent``: no inputs at all. Otherwise exciting ones, ones in one direction, or none.
     """
     n, q, window = (int(size) for size in rng.integers(1, 4, 3))
     lambda_max = float(rng.choice([0.0, 0.5, 0.9]))
@@ -140,13 +105,8 @@ def draw_estimates(
 def check_settles(effort: Effort, window: int = 1, noise: float = 0.0) -> Evidence:
     """Theorem 2(i) as stated: how far apart the estimates of the second half of a run still are.
 
-    Parameters
-    ----------
-    effort : Effort
-    window : int
-        Of the estimator on the spiral's data (A = 0, B = 0).
-    noise : float
-        If positive, look at noisy data instead, which obey no signal model.
+    ``window``: the estimator's, on the spiral's data (A = 0, B = 0).
+    ``noise``: if positive, look at noisy data instead, which obey no signal model.
     """
     record = spiral_estimates(1500, window)
     if noise:
@@ -184,11 +144,8 @@ def check_exciting(effort: Effort, level: float = 1.0) -> Evidence:
 def check_decaying(effort: Effort, counted: int | None = None) -> Evidence:
     """Check the length of the estimates' path against the sum of the squared norms of the windows.
 
-    Parameters
-    ----------
-    effort : Effort
-    counted : int, optional
-        How many windows of the spiral's data to count, which are all of one size; random decaying data if omitted.
+    ``counted``: how many windows of the spiral's data to count, which are all of one size; random decaying data if
+    omitted.
     """
     rng, found = effort.rng("theorem-2.i.decaying"), []
     for _ in range(1 if counted else max(5, effort.cases // 3)):
@@ -207,11 +164,7 @@ def check_decaying(effort: Effort, counted: int | None = None) -> Evidence:
 def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
     """Check the error bound after (8), :func:`~rhl.paper.claims.estimation.omegas`, for horizons above the window.
 
-    Parameters
-    ----------
-    effort : Effort
-    planned : bool
-        True: predict along inputs of which only the first is then applied.
+    ``planned``: predict along inputs of which only the first is then applied.
     """
     rng, found = effort.rng("theorem-2.ii"), []
     for _ in range(max(3, effort.cases // 10)):
@@ -230,17 +183,8 @@ def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
 def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
     """Predict two steps ahead on x(k) = 1, A = 1, B = 1, u = 0, with a second input that is planned but not applied.
 
-    Parameters
-    ----------
-    effort : Effort
-    second : float
-        That input; zero is what is applied.
-
-    Returns
-    -------
-    Evidence
-        The squared error of the last estimate over the sum of squares of state and inputs; (8) wants it to vanish, the
-        state being constant and the residual zero.
+    The evidence is the squared error of the last estimate over the sum of squares of state and inputs; (8) wants it to
+    vanish, the state being constant and the residual zero. ``second`` is that input; zero is what is applied.
     """
     truth = SignalModel(np.ones((1, 1)), np.ones((1, 1)))
     u = np.zeros((200, 1))
@@ -260,18 +204,11 @@ def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
 def window_gap(record: Estimates, k: int, equation: int, printed: bool, limit: SignalModel | None = None) -> float:
     """Return by how much (47), (48), (49), (50) or (51) fails at k, as printed or corrected.
 
-    Parameters
-    ----------
-    record : Estimates
-    k : int
-        At least the window.
-    equation : int
-        47 to 51.
-    printed : bool
-        True: (47) with the residuals of theta*(k), the others with the error index l+1 instead of l+2.
-    limit : SignalModel, optional
-        What stands for the limit's A^, B^ in (49) to (51), and for (A, B) on the right of (51); the identities hold
-        for every model. (51) wants the truth.
+    ``k``: at least the window.
+    ``equation`` is 47 to 51.
+    ``printed``: (47) with the residuals of theta*(k), the others with the error index l+1 instead of l+2.
+    ``limit``: what stands for the limit's A^, B^ in (49) to (51), and for (A, B) on the right of (51); the identities
+    hold for every model. (51) wants the truth.
     """
     model, window = record.models[k], record.window
     residuals = record.residuals(k, record.best[k - 1] if printed and equation == 47 else model)

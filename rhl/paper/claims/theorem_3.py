@@ -29,22 +29,10 @@ _STEPS = 400
 
 
 def random_plants(rng: np.random.Generator, count: int, reachable: bool = True) -> tuple[LinearPlant, Array]:
-    """Draw a batch of plants of order 3 with initial states of length one.
+    """Draw plants of order 3, one input and one output, with initial states of length one, shape (count, 3).
 
-    Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches.
-
-    Parameters
-    ----------
-    rng : Generator
-    count : int
-    reachable : bool
-        False cuts the input off the unstable block: not stabilizable.
-
-    Returns
-    -------
-    LinearPlant
-        Of shapes (count, 3, 3), (count, 3, 1), (count, 1, 3).
-    array, shape (count, 3)
+    Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches. ``reachable``
+    False cuts the input off the unstable block: not stabilizable.
     """
     forms = [kalman_form(rng, 1, 1, (2, 1, 0)) for _ in range(count)]
     F, G, H = (np.stack([getattr(form, name) for form in forms]) for name in "FGH")
@@ -87,11 +75,7 @@ def check_convergence(effort: Effort, reachable: bool = True) -> Evidence:
 def check_peaking(effort: Effort, known: bool = False) -> Evidence:
     """Look whether the median run's state grows at least tenfold before it settles.
 
-    Parameters
-    ----------
-    effort : Effort
-    known : bool
-        Control the same plants with a model that is right, and held, from the first step.
+    ``known``: control the same plants with a model that is right, and held, from the first step.
     """
     trace = known_plants(effort.seed, effort.cases) if known else unknown_plants(effort.seed, effort.cases, True)
     peak = np.max(np.linalg.norm(trace.z, axis=-1), axis=0)
