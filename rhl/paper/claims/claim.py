@@ -76,12 +76,7 @@ Check = Callable[[Effort], Evidence]
 class Control:
     """The same check with an assumption broken: it must be seen to fail.
 
-    Attributes
-    ----------
-    what : str
-        What is broken, completing "with ...".
-    check : callable
-        Must not pass.
+    ``what`` says what is broken, completing "with ..."; ``check`` must not pass.
     """
 
     what: str
@@ -151,17 +146,9 @@ class Claim:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim after its checks ran.
+    """A claim after its checks ran, with the evidence of the check that decided.
 
-    Attributes
-    ----------
-    claim : Claim
-    verdict : Verdict
-    evidence : Evidence or None
-        Of the check that decided.
-    tripped : bool or None
-        Whether the negative control was violated, as it must be.
-    seconds : float
+    ``tripped`` says whether the negative control was violated, as it must be; ``seconds`` is the time taken.
     """
 
     claim: Claim
