@@ -112,8 +112,8 @@ def linear_example(*, printed: bool = False) -> Experiment:
 def robot_arm(*, printed: bool = False) -> Experiment:
     """Return the robot arm, equation (24), figures 7 to 9.
 
-    ``printed`` False: the coefficients that the published curves obey. True: those in the text. The scheme is the same,
-    with the constant mixing lambda = 0.5 that the text does not mention.
+    The coefficients are those that the published curves obey or, ``printed``, those in the text. The scheme is the
+    same, with the constant mixing lambda = 0.5 that the text does not mention.
 
     Examples
     --------

@@ -51,8 +51,6 @@ class Setting:
 def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
     """Return the settings in groups: those of one group are swept together, the others meanwhile keep their values.
 
-    ``name`` {"linear", "robot"}: the linear example or the robot arm.
-
     Examples
     --------
     >>> [[setting.key for setting in group] for group in settings("linear")]
