@@ -12,20 +12,13 @@ _RANK_RTOL = 1e-13
 
 
 def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizon: int) -> tuple[Array, Array, Array]:
-    r"""Take the Riccati recursion back over a horizon, in square-root form.
+    r"""Take the Riccati recursion back over a horizon N, in square-root form.
 
     .. math:: |S' x|^2 = \min_u |Q^{1/2} x|^2 + |R^{1/2} u|^2 + |S (A x + B u)|^2
 
-    Parameters
-    ----------
-    S : array, shape (..., n, n)
-        Upper factor of the cost to go after the last stage.
-    A, B : array, shapes (..., n, n) and (..., n, q)
-        One stage's step.
-    Q_factor, R_factor : array, shapes (..., c, c) and (..., q, q)
-        Upper factors with Q = Q_factor' Q_factor; Q acts on the first c entries of the state.
-    horizon : int
-        N.
+    A and B, shapes (..., n, n) and (..., n, q), are one stage's step. S, (..., n, n), is the upper factor of the cost
+    to go after the last stage; those of Q = Q_factor' Q_factor and R have shapes (..., c, c) and (..., q, q), and Q
+    acts on the first c entries of the state.
 
     Returns
     -------

@@ -216,7 +216,9 @@ def closed_loop(
     actuator: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Iterator[Step]:
-    """Run the scheme on a plant for as long as the caller asks for steps.
+    """Run the scheme on a plant and yield a step for each k = 0, 1, ..., as long as the caller asks for them.
+
+    ``rhl.simulate`` is the faster way to many steps.
 
     Parameters
     ----------
@@ -225,18 +227,11 @@ def closed_loop(
         Unknown to the scheme but for the sizes of y and v.
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
-    sensor : callable or tuple of callables, optional
-        (k, y) -> the output as it is measured, see ``rhl.disturbances``.
-    actuator : callable or tuple of callables, optional
-        (k, v) -> the input as it is applied.
+    sensor, actuator : callable or tuple of callables, optional
+        (k, y) -> the output as it is measured, and (k, v) -> the input as it is applied, see ``rhl.disturbances``.
     applied_known : bool
         Whether the scheme remembers the input that was applied (as whoever knows the actuator can), or the one that it
         computed.
-
-    Yields
-    ------
-    Step
-        One for each k = 0, 1, ...; ``rhl.simulate`` is the faster way to many of them.
 
     Raises
     ------

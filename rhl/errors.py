@@ -39,14 +39,7 @@ class LostControllabilityError(RHLError, ArithmeticError):
 class DivergedError(RHLError, ArithmeticError):
     """The closed loop left the range of float64.
 
-    Attributes
-    ----------
-    k : int
-        The step at which it did.
-    what : str
-        Which number.
-    trace : Trace or None
-        The rows before, where ``simulate`` recorded any.
+    At step ``k`` the number ``what`` did; ``trace`` holds the rows before, where ``simulate`` recorded any, else None.
     """
 
     def __init__(self, k: int, what: str, trace: Trace | None = None) -> None:

@@ -72,16 +72,7 @@ class V2:
     .. math:: V_2 = \min\; \xi_N^\top Q_N \xi_N
 
     Its solution is not unique; solved for is the one of least :math:`\sum_i |\xi_i|^2 + |\nu_i|^2`
-    (proof of Lemma 1(b)).
-
-    Parameters
-    ----------
-    model : SignalModel or PredictorMaps
-        Predictor.
-    QN : float or array_like, shape (n, n)
-        Terminal weight, symmetric positive definite.
-    horizon : int
-        N, at least 1.
+    (proof of Lemma 1(b)). The parameters are those of :class:`V1`.
 
     Examples
     --------
@@ -105,16 +96,7 @@ class V3:
 
     .. math:: V_3 = \min \sum_{i=0}^{N-1} \xi_i^\top Q \xi_i + \nu_i^\top R \nu_i \quad\text{s.t. } \xi_N = r
 
-    Parameters
-    ----------
-    model : SignalModel or PredictorMaps
-        Predictor.
-    Q, R : float or array_like, shapes (n, n) and (q, q)
-        Stage and input weight, symmetric positive definite.
-    r : array_like, shape (..., n)
-        Terminal state asked for.
-    horizon : int
-        N, at least 1.
+    The parameters are those of :class:`V1`, and r, shape (..., n), the terminal state asked for.
 
     Examples
     --------

@@ -32,19 +32,15 @@ class DelayLifting:
     .. math::
         w(k) = [y(k); \dots; y(k-N_y+1)], \qquad x(k) = [w(k); \varphi(w(k))], \qquad u(k) = [v(k); \dots; v(k-N_v+1)]
 
-    Parameters
-    ----------
-    outputs : int
-        :math:`\bar N_y`, at least 1.
-    inputs : int
-        :math:`\bar N_v`, at least 1.
-    basis : Polynomials, Terms, Features or None
-        :math:`\varphi`, functions of the stacked outputs that are zero at zero; None for none.
-
-    Notes
-    -----
     Signals before k = 0 are zero, as in the paper (after equation (17)). Inputs are stacked and nothing else, so that
     v(k) can be read off u(k).
+
+    Parameters
+    ----------
+    outputs, inputs : int
+        :math:`\bar N_y` and :math:`\bar N_v`, at least 1.
+    basis : Polynomials, Terms, Features or None
+        :math:`\varphi`, functions of the stacked outputs that are zero at zero; None for none.
 
     Examples
     --------

@@ -24,10 +24,8 @@ class PredictorMaps:
 
     Parameters
     ----------
-    A : array_like, shape (..., N+1, n, n)
-        The maps :math:`A_0 = I, A_1, \dots, A_N`.
-    B : array_like, shape (..., N, n, q)
-        The maps :math:`B_0, \dots, B_{N-1}`.
+    A, B : array_like, shapes (..., N+1, n, n) and (..., N, n, q)
+        The maps :math:`A_0 = I, A_1, \dots, A_N` and :math:`B_0, \dots, B_{N-1}`.
 
     Examples
     --------
@@ -82,16 +80,14 @@ class PredictorMaps:
 
 @dataclass(frozen=True, eq=False)
 class SignalModel:
-    r"""The signal model :math:`x(k+1) = A x(k) + B u(k)`, equation (18).
+    """The signal model :math:`x(k+1) = A x(k) + B u(k)`, equation (18).
 
     It reproduces one trajectory (Assumption 7) and need not be a model of the plant (Remark 3).
 
     Parameters
     ----------
-    A : array_like, shape (..., n, n)
-        Signal matrix; InputError if it is not square or not finite.
-    B : array_like, shape (..., n, q)
-        Input matrix.
+    A, B : array_like, shapes (..., n, n) and (..., n, q)
+        Signal and input matrix; InputError if A is not square, the shapes do not fit, or an entry is not finite.
 
     Examples
     --------
@@ -147,14 +143,8 @@ class SignalModel:
         """Build the controllable initial model behind the paper's data: A(0) has ones above the diagonal and last.
 
         The paper only says "a controllable signal model" (Section VI); this one is observed from the published curves.
-
-        Parameters
-        ----------
-        n, q : int
-            Sizes of signal and input.
-        inputs : {"last-row-of-ones", "eye-last-row-of-ones"}
-            B(0): zero but for a last row of ones (linear example), or the first q columns of the
-            identity with their last row set to ones (robot arm).
+        B(0) is zero but for a last row of ones ("last-row-of-ones", linear example), or the first q columns of the
+        identity with their last row set to ones ("eye-last-row-of-ones", robot arm).
 
         Examples
         --------

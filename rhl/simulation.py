@@ -41,7 +41,9 @@ def simulate(
     actuator: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Trace:
-    """Run the scheme on a plant and record what happened.
+    """Run the scheme on a plant and record what happened, k = 0 ... steps-1.
+
+    Members of a batch that leave the range of float64 stay as they were then, and ``diverged_at`` names them.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ def simulate(
     z0 : array_like, shape (..., n)
         Initial state; leading axes run that many loops at once.
     steps : int
-        Number of rows, k = 0 ... steps-1.
+        At least 1.
     record : {"signals", "models"}, optional
         "signals": y, v and z; what else a trace can tell it works out when asked for. "models": the estimates too, so
         that this is quicker, at 16 n (n + q) bytes a step and member. Where omitted, models of one loop, signals of a
@@ -61,11 +63,6 @@ def simulate(
         Called now and then with the trace so far.
     sensor, actuator, applied_known
         What errs between scheme and plant, as in ``closed_loop``.
-
-    Returns
-    -------
-    Trace
-        Members of a batch that leave the range of float64 stay as they were then, and ``diverged_at`` names them.
 
     Raises
     ------

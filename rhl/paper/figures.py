@@ -24,8 +24,7 @@ def against_published(ax: Axes, values: Array, name: str, label: str, colour: st
 def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure:
     """Draw a run of one of the paper's examples on the published curves, and how far apart they are.
 
-    ``trace``: a run of ``published.linear_example()`` or ``published.robot_arm()``.
-    ``experiment`` {"linear", "robot"}: which of them.
+    The run is of ``published.linear_example()`` ("linear") or ``published.robot_arm()`` ("robot").
 
     Examples
     --------

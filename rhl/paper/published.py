@@ -52,20 +52,11 @@ def curve(name: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A plant, where it starts, the scheme that runs on it, and for how long.
+    """A plant, its initial state z0, shape (n,), the scheme that runs on it, and for how many steps.
 
-    Attributes
-    ----------
-    name : str
-    plant : Plant
-    z0 : array, shape (n,)
-    scheme : Scheme
-    steps : int
-        As many as the longest published curve has samples, in the paper's.
-    sensor, actuator : callable or None
-        What errs between scheme and plant, see ``rhl.disturbances``; nothing in the paper's.
-    applied_known : bool
-        Whether the scheme remembers what the actuator let through.
+    An experiment of the paper has as many steps as its longest published curve has samples. ``sensor`` and ``actuator``
+    are what errs between scheme and plant, see ``rhl.disturbances``, nothing in the paper's; ``applied_known`` says
+    whether the scheme remembers what the actuator let through.
     """
 
     name: str
@@ -121,8 +112,8 @@ def linear_example(*, printed: bool = False) -> Experiment:
 def robot_arm(*, printed: bool = False) -> Experiment:
     """Return the robot arm, equation (24), figures 7 to 9.
 
-    ``printed`` False: the coefficients that the published curves obey. True: those in the text. The scheme is the same,
-    with the constant mixing lambda = 0.5 that the text does not mention.
+    The coefficients are those that the published curves obey or, ``printed``, those in the text. The scheme is the
+    same, with the constant mixing lambda = 0.5 that the text does not mention.
 
     Examples
     --------
@@ -158,17 +149,8 @@ def replay_published(*, printed: bool = False) -> Trace:
 class Comparison:
     """How far one signal is from its published curve over some samples.
 
-    Attributes
-    ----------
-    signal : str
-    samples : int
-        How many were compared.
-    largest : float
-        The largest absolute difference; relative for Gamma/eps.
-    at : int
-        The k where it is.
-    tolerance : float or None
-        What is asked; None where the difference is known, shown and unexplained.
+    ``largest`` is the largest absolute difference, relative for Gamma/eps, and ``at`` the k where it is. ``tolerance``
+    is None where the difference is known, shown and unexplained.
     """
 
     signal: str

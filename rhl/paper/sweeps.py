@@ -30,22 +30,10 @@ _DIGITS = 6
 
 @dataclass(frozen=True)
 class Setting:
-    """Something that a slider changes in an experiment.
+    """Something that a slider changes: ``change`` maps (experiment, value) to the experiment with that value.
 
-    Attributes
-    ----------
-    key : str
-        Its name in the data.
-    words : str
-        What it is.
-    symbol : str
-        Its sign in the paper.
-    values : tuple of float
-        Where the slider can stop, in order; the experiment's own value is one of them.
-    own : float
-        That value.
-    change : callable
-        (experiment, value) -> the experiment with this value.
+    ``key`` is its name in the data, ``words`` say what it is, ``symbol`` is its sign in the paper. ``values`` are where
+    the slider can stop, in order; ``own``, the experiment's own value, is one of them.
     """
 
     key: str
@@ -62,8 +50,6 @@ class Setting:
 
 def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
     """Return the settings in groups: those of one group are swept together, the others meanwhile keep their values.
-
-    ``name`` {"linear", "robot"}: the linear example or the robot arm.
 
     Examples
     --------

@@ -23,7 +23,6 @@ class ExamplePlant:
 
     Attributes
     ----------
-    plant : Plant
     z0 : array, shape (n,)
         An initial state away from rest, within the range where the model means something.
     what : str

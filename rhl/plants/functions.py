@@ -17,8 +17,12 @@ from rhl.plants.base import check_lengths
 class FunctionPlant:
     r"""A plant of the caller's own, :math:`z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))`, from two plain functions.
 
-    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return
-    new ones. The scheme brings the outputs to zero; so put the wanted equilibrium there.
+    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return new
+    ones. The scheme brings the outputs to zero; so put the wanted equilibrium there. The size p of the output is found
+    by asking for g(0).
+
+    PlantError if a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step`
+    for later on. What a function itself raises is let through, with a note where it was called.
 
     Parameters
     ----------
@@ -30,17 +34,6 @@ class FunctionPlant:
         Sizes of state and input, at least 1.
     names : tuple of str
         What messages call the two functions.
-
-    Attributes
-    ----------
-    p : int
-        Size of the output, found by asking for g(0).
-
-    Raises
-    ------
-    PlantError
-        If a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step` for
-        later on. What a function itself raises is let through, with a note where it was called.
 
     Examples
     --------

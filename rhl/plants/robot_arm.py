@@ -28,6 +28,9 @@ class RobotArm:
         x_2^+ &= x_2 + h (a x_3 - b x_2 - c \sin x_1) \\
         x_3^+ &= x_3 + h (-d x_3 - e x_2 + f u)
 
+    State: angle x1 (rad), angular velocity x2 (rad/s), motor current x3 (A); input: voltage u (V); the whole state is
+    measured, y = x. The "data" coefficients are this project's observation.
+
     Parameters
     ----------
     variant : {"data", "printed"}
@@ -35,11 +38,6 @@ class RobotArm:
         "data" has those that the published curves obey, (400/11, 19.12/11, 1000/11, 86.04, 3.64, 100).
     h : float
         Step size in seconds.
-
-    Notes
-    -----
-    State: angle x1 (rad), angular velocity x2 (rad/s), motor current x3 (A); input: voltage u (V); the whole state is
-    measured, y = x. Source: equation (24); the "data" coefficients are this project's observation.
     """
 
     variant: ArmVariant = "data"

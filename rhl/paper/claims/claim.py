@@ -20,15 +20,7 @@ Method = Literal["symbolic identity", "exact arithmetic", "numerical sampling", 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a check may do, and where its randomness comes from.
-
-    Parameters
-    ----------
-    seed : int
-        One seed for the whole ledger.
-    cases : int
-        How many random cases a check draws that draws any.
-    """
+    """How much a check may do: the seed of the whole ledger, and how many random cases a check draws that draws any."""
 
     seed: int = 0
     cases: int = 100
@@ -52,10 +44,8 @@ class Evidence:
         How many cases were looked at; none is no evidence.
     worst : float
         The largest violation over all cases; it must not exceed the tolerance. Zero in exact arithmetic.
-    tolerance : float
-        What counts as rounding.
-    why : str
-        Why this tolerance, in a few words.
+    tolerance, why : float, str
+        What counts as rounding, and why, in a few words.
     """
 
     cases: int
@@ -76,12 +66,7 @@ Check = Callable[[Effort], Evidence]
 class Control:
     """The same check with an assumption broken: it must be seen to fail.
 
-    Attributes
-    ----------
-    what : str
-        What is broken, completing "with ...".
-    check : callable
-        Must not pass.
+    ``what`` says what is broken, completing "with ..."; ``check`` must not pass.
     """
 
     what: str
@@ -110,14 +95,11 @@ class Claim:
     recorded : Verdict
         What came out when the claim was entered; ``rhl verify`` fails if something else comes out. "observed": a check
         that passes is no proof.
-    page : str
-        The page of the book, from its root, such as "notebooks/10-lemma-5.ipynb".
-    test : str
-        The test file, from the root.
-    stated : callable, optional
-        Checks the statement as the paper has it; None where it cannot be checked.
-    corrected : callable, optional
-        Checks the corrected statement, where the stated one fails.
+    page, test : str
+        The page of the book, such as "notebooks/10-lemma-5.ipynb", and the test file, from the root.
+    stated, corrected : callable, optional
+        Check the statement as the paper has it, None where it cannot be checked, and the corrected one, where that
+        fails.
     control : Control, optional
         Required wherever there is a check.
     reason : str
@@ -151,17 +133,9 @@ class Claim:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim after its checks ran.
+    """A claim after its checks ran, with the evidence of the check that decided.
 
-    Attributes
-    ----------
-    claim : Claim
-    verdict : Verdict
-    evidence : Evidence or None
-        Of the check that decided.
-    tripped : bool or None
-        Whether the negative control was violated, as it must be.
-    seconds : float
+    ``tripped`` says whether the negative control was violated, as it must be; ``seconds`` is the time taken.
     """
 
     claim: Claim

@@ -61,10 +61,7 @@ def select(ids: Sequence[str]) -> list[Claim]:
 def run(
     claims: Iterable[Claim], effort: Effort, progress: Callable[[Judgement], None] | None = None
 ) -> list[Judgement]:
-    """Judge claims one after the other.
-
-    ``progress``: called with each judgement as it is made.
-    """
+    """Judge claims one after the other. ``progress``: called with each judgement as it is made."""
     judgements = []
     for claim in claims:
         judgements.append(judge(claim, effort))

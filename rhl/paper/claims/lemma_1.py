@@ -280,10 +280,7 @@ def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
 
 
 def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
-    """Recompute the certificate of the library's plan for a problem.
-
-    ``nudge``: move the plan's inputs by that much.
-    """
+    """Recompute the certificate of the library's plan for a problem. ``nudge``: move the plan's inputs by that much."""
     rng, worst = effort.rng(which), []
     for _ in range(effort.cases):
         maps, Q, R = _draw(rng)

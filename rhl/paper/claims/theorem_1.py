@@ -95,10 +95,7 @@ def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = fallin
 
 
 def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
-    """Compare V1's solution with V3's for r = x_N, equation (40).
-
-    ``shift``: move r by that much.
-    """
+    """Compare V1's solution with V3's for r = x_N, equation (40). ``shift``: move r by that much."""
     rng, gaps = effort.rng("eq-40"), []
     for _ in range(effort.cases):
         n, q = (int(size) for size in rng.integers(1, 4, 2))
