@@ -20,7 +20,7 @@ class Block:
 
     ``plant`` holds [F G] and [H 0], without rows where the plant is the caller's, and z, shape (n + q, lanes), the
     linear plant's state with the input below it. ``state`` holds x, u, v(k-1) and theta~(k-1), see
-    ``rhl.kernels.loop``; ``estimator`` and ``controller`` hold what the kernel needs of the scheme. ``diverged_at``,
+    ``rhl.kernels.loops``; ``estimator`` and ``controller`` hold what the kernel needs of the scheme. ``diverged_at``,
     shape (lanes,), is the step at which a lane left the range of float64, else -1.
     """
 
