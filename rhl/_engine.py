@@ -18,20 +18,10 @@ from rhl.scheme import Scheme
 class Block:
     """Some members of a batch, in lanes.
 
-    Attributes
-    ----------
-    members : slice
-        Which members.
-    plant : tuple of arrays
-        [F G] and [H 0]; without rows where the plant is the caller's.
-    z : array, shape (n + q, lanes)
-        The linear plant's state, with the input below it.
-    state : tuple of arrays
-        x, u, v(k-1) and theta~(k-1), see ``rhl.kernels.loop``.
-    estimator, controller : tuple
-        What the kernel needs of the scheme.
-    diverged_at : array of int, shape (lanes,)
-        The step at which a lane left the range of float64, else -1.
+    ``plant`` holds [F G] and [H 0], without rows where the plant is the caller's, and z, shape (n + q, lanes), the
+    linear plant's state with the input below it. ``state`` holds x, u, v(k-1) and theta~(k-1), see
+    ``rhl.kernels.loops``; ``estimator`` and ``controller`` hold what the kernel needs of the scheme. ``diverged_at``,
+    shape (lanes,), is the step at which a lane left the range of float64, else -1.
     """
 
     members: slice

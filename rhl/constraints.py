@@ -66,7 +66,7 @@ class LinearConstraints:
 
     @classmethod
     def entries(cls, A: ArrayLike, B: ArrayLike) -> LinearConstraints:
-        """Know single entries of A, shape (n, n), and B, shape (n, q); NaN stands for an unknown one."""
+        """Know single entries of A, shape (n, n), and B, shape (n, q); NaN if unknown, InputError if infinite."""
         try:
             found = A
             A = numbers(found)

@@ -58,16 +58,10 @@ _TYPES: dict[str, Any] = {
 
 
 def key(what: str, *kinds: Kind, default: Any = ...) -> Any:
-    """Declare a key of a section.
+    """Declare a key of a section, whose value is of one of the kinds; of ``WORDS`` where none is given.
 
-    Parameters
-    ----------
-    what : str
-        Completes the sentence "KEY must be ..."; ``{}`` in it becomes what the first kind says.
-    *kinds : Kind
-        The value is of one of them; of ``WORDS`` where none is given.
-    default : object, optional
-        What it is where the key is left out; such a key may be.
+    ``what`` completes the sentence "KEY must be ..."; ``{}`` in it becomes what the first kind says. ``default`` is the
+    value where the key is left out; without one it may not be.
     """
     words, kinds = TEXT | {"enum": re.findall('"([^"]*)"', what)}, kinds or (WORDS,)
     about = {"description": what.replace("{}", _said(kinds[0])), **_either(*(kind or words for kind in kinds))}

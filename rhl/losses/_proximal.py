@@ -71,16 +71,9 @@ class Proximal:
     S, (m, blocks), and Theta, (d, blocks), hold s and theta row by row. The problem then falls apart into one for each
     block, unless a second derivative of c or g turns out to be a matrix. One block is any problem at all.
 
-    Attributes
-    ----------
-    s, R : array, shapes (m blocks,) and (m, d)
-        Equations (16) and (17).
-    c, g : Convex
-        Loss and generator.
-    centre : array, shape (d blocks,)
-        The proximal centre.
-    free : sequence of arrays, shapes (d, freedom), or None
-        Directions in which the parameters of each block may move; None: any.
+    s, shape (m blocks,), and R, shape (m, d), are those of equations (16) and (17); c is the loss and g the generator;
+    the proximal centre has shape (d blocks,). ``free`` holds the directions in which the parameters of each block may
+    move, shapes (d, freedom); None: any.
     """
 
     s: Array

@@ -22,7 +22,8 @@ class FunctionPlant:
     by asking for g(0).
 
     PlantError if a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step`
-    for later on. What a function itself raises is let through, with a note where it was called.
+    for later on. What a function itself raises is let through, with a note where it was called. InputError if
+    one cannot be called.
 
     Parameters
     ----------

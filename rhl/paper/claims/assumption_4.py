@@ -54,8 +54,7 @@ def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Eviden
 def check_commuting(effort: Effort, printed: bool = False, nudge: int = 0) -> Evidence:
     """(7) for powers, in rational numbers.
 
-    ``printed``: ask for P_{N+1} too.
-    ``nudge``: change one entry of A_2 by that much, so that the maps are no powers.
+    ``printed``: ask for P_{N+1} too. ``nudge``: change one entry of A_2 by that much, so that the maps are no powers.
     """
     rng = effort.rng("eq-7")
     gaps: list[Fraction | int] = []

@@ -36,10 +36,8 @@ def regressor_matrix(x: Array, u: Array) -> Array:
 class Estimates:
     """What (15) makes of recorded signals.
 
-    ``x`` (K+1, n): x(0), ..., x(K); zero before.
-    ``u`` (K, q): u(0), ..., u(K-1); zero before.
-    ``window``: the paper's N bar.
-    ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
+    ``x`` (K+1, n): x(0), ..., x(K); zero before. ``u`` (K, q): u(0), ..., u(K-1); zero before.
+    ``window``: the paper's N bar. ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
     ``models``: theta~(0), ..., theta~(K).
     """
 
@@ -78,8 +76,7 @@ class Estimates:
 def estimate(x: Array, u: Array, initial: SignalModel, window: int, mixing: Array, first: int = 1) -> Estimates:
     """Run the estimator (15) with squares on recorded x, shape (K+1, n), and u, shape (K, q).
 
-    ``initial``: theta~(0).
-    ``mixing`` (K,): lambda_1, ..., lambda_K.
+    ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K.
     ``first``: the first k at which the estimate may move; ``window`` keeps the zeros before k = 0 out of it.
     """
     estimator = ProximalEstimator(window)
@@ -126,8 +123,7 @@ def spiral_estimates(steps: int, window: int = 1) -> Estimates:
 def prediction_errors(record: Estimates, k: int, inputs: Array, truth: SignalModel) -> Array:
     """Return e_1(k), ..., e_N(k) of (8) for the powers (21) of theta~(k): prediction minus truth, shape (N, n).
 
-    ``inputs`` (N, q): the s_0, ..., s_{N-1}.
-    ``truth``: the (A, B) of (18).
+    ``inputs`` (N, q): the s_0, ..., s_{N-1}. ``truth``: the (A, B) of (18).
     """
     N, x = len(inputs), record.x[k]
     return (record.models[k].predictor(N).predict(x, inputs) - truth.predictor(N).predict(x, inputs))[1:]

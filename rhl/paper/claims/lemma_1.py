@@ -265,8 +265,7 @@ def weakly_reached(delta: float) -> PredictorMaps:
 def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
     """See how large V3's gains become while V1's stay bounded, as the second state is reached ever more weakly.
 
-    ``effort`` is not used: nothing is drawn.
-    ``least``: the smallest delta.
+    ``effort`` is not used: nothing is drawn. ``least``: the smallest delta.
     """
     ours, theirs = [], []
     for delta in np.geomspace(1.0, least, 7):

@@ -185,8 +185,7 @@ def check_count(effort: Effort, fewer: int = 0) -> Evidence:
 def check_sharp(effort: Effort, roots: int = 0) -> Evidence:
     """See whether the crossing lines have n(n+1)/2 - 1 different bad lambdas inside (0, 1), for n = 2, ..., 5.
 
-    ``effort`` is not used: nothing is drawn.
-    ``roots``: ask for that many more, which no pair can have.
+    ``effort`` is not used: nothing is drawn. ``roots``: ask for that many more, which no pair can have.
     """
     import sympy as sp
 

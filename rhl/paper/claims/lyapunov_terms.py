@@ -149,8 +149,7 @@ class Bounds:
     ``gamma`` (..., T, 3): gamma_1, gamma_2 of (36), and the constant term gamma_3.
     ``c`` (..., 1): with ``|Ax + Bu|^2 <= 2c (|x|^2 + |u|^2)``, above (37).
     ``rho_bar`` (..., 1): Young's constant in (36): mu / (2c).
-    ``gain`` (..., 1): M of Assumption 5(a).
-    ``value`` (..., 1): a bound of the value matrix S(k).
+    ``gain`` (..., 1): M of Assumption 5(a). ``value`` (..., 1): a bound of the value matrix S(k).
     """
 
     alpha: Array
@@ -200,9 +199,7 @@ def draw(
     """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
 
     ``count``: how many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
-    ``sizes``: n, q, N.
-    ``steps``: T.
-    ``error_decay``: the models' errors shrink by this factor a step.
+    ``sizes``: n, q, N. ``steps``: T. ``error_decay``: the models' errors shrink by this factor a step.
     """
     n, q, N = sizes
     fade = error_decay ** np.arange(steps + 1)[:, None, None]

@@ -42,8 +42,7 @@ def commutation_gaps(
 ) -> list[Fraction | int]:
     """Return the differences of the three members of (7) for 0 <= i + j <= N + 1 at x, shape (n).
 
-    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}.
-    ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
+    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}. ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
     ``printed``: count a map that (7) names and (5) does not have as a difference of one.
     """
     N = len(maps[1])

@@ -67,8 +67,7 @@ SHAPES = ("square", "hinge", "huber", "quartic")
 class Ridge:
     r"""A convex function :math:`f(x) = w\,\varphi(a^\top x - b)` whose minimum is zero.
 
-    ``a`` (d,): direction; not zero.
-    ``b``: where the minimum is: at all x with a'x = b (with a'x <= b for the hinge).
+    ``a`` (d,): direction; not zero. ``b``: where the minimum is: at all x with a'x = b (with a'x <= b for the hinge).
     ``shape``: phi(t) is t^2 (square), max(0, t)^2 (hinge), sqrt(1 + t^2) - 1 (huber) or t^4 (quartic).
     ``weight``: w, positive.
     """
@@ -128,11 +127,9 @@ def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
 class Run:
     """Iterates of (20).
 
-    ``functions``: f(., 0), ..., f(., K-1).
-    ``generator``: g.
+    ``functions``: f(., 0), ..., f(., K-1). ``generator``: g.
     ``centres`` (K+1, d): the centres: x~_0, ..., x~_K.
-    ``minimisers`` (K, d): x*_1, ..., x*_K.
-    ``mixing`` (K,): lambda_1, ..., lambda_K.
+    ``minimisers`` (K, d): x*_1, ..., x*_K. ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
 
     functions: Sequence[Ridge]
@@ -165,8 +162,7 @@ def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) 
     """Run the proximal iterations (20).
 
     ``functions``: f(., 0), f(., 1), ..., as many as steps are to be taken.
-    ``start`` (d,): the first centre.
-    ``mixing`` (K,): lambda_1, ..., lambda_K.
+    ``start`` (d,): the first centre. ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
     centres, minimisers = [np.asarray(start, dtype=np.float64)], []
     for f, lam in zip(functions, mixing, strict=True):

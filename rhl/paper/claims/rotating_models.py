@@ -25,8 +25,7 @@ def turning(phase: Array, r: Array, x0: Array, growth: float = PLANE) -> Setting
     step, and about nothing else; turned by any angle it is that still, for the plant looks the same from all sides.
 
     ``phase`` (T+1): angles of the model at k = 0 ... T.
-    ``r`` (T+1, 2): terminal states.
-    ``x0`` (runs, 2): initial states.
+    ``r`` (T+1, 2): terminal states. ``x0`` (runs, 2): initial states.
     ``growth`` is the plant's; the model is made for the default.
     """
     model = consistent_model()
@@ -65,8 +64,7 @@ def losing(steps: int, floor: float = 0.0) -> Setting:
     The plant's second state is stable and out of reach. The model thinks that the input reaches it a little, by
     1/(k+1), and is asked to bring it to 1/(k+1).
 
-    ``steps``: T.
-    ``floor``: what the model keeps thinking of that reach, at least.
+    ``steps``: T. ``floor``: what the model keeps thinking of that reach, at least.
     """
     A, decay = np.diag([1.2, 0.5]), 1 / (np.arange(steps + 1) + 1)
     reach = np.maximum(decay, floor)

@@ -29,8 +29,7 @@ _H = ((1, 0, 1),)
 def check_linear_rank(effort: Effort, what: str, modes: tuple[str, ...] | None = None) -> Evidence:
     """PBH rank tests on equation (23) in exact arithmetic: by how much the least rank misses the order 3.
 
-    ``effort`` is not used: nothing is drawn.
-    ``what`` {"input", "output"}: test (F, G) or (F, H).
+    ``effort`` is not used: nothing is drawn. ``what`` {"input", "output"}: test (F, G) or (F, H).
     ``modes``: eigenvalues to test; those of modulus at least 1 for the input, all for the output, where omitted.
     """
     import sympy as sp  # here, because it takes a while to load
@@ -47,8 +46,7 @@ def check_linear_rank(effort: Effort, what: str, modes: tuple[str, ...] | None =
 def check_linear_unstable(effort: Effort, pole: str = "51/50") -> Evidence:
     """Look for an eigenvalue of modulus above 1 in equation (23), exactly.
 
-    ``effort`` is not used: nothing is drawn.
-    ``pole``: put this number in the place of 1.02.
+    ``effort`` is not used: nothing is drawn. ``pole``: put this number in the place of 1.02.
     """
     import sympy as sp
 
@@ -65,8 +63,7 @@ def _run(example: str, printed: bool) -> Trace:
 def check_curve(effort: Effort, signal: str, printed: bool) -> Evidence:
     """Compare a run of the linear example with a published curve, up to where it is explained.
 
-    ``effort`` is not used: nothing is drawn.
-    ``printed``: with the text's settings.
+    ``effort`` is not used: nothing is drawn. ``printed``: with the text's settings.
     """
     rows = published.compare_linear(_run("linear", printed), printed=printed)
     row = next(row for row in rows if row.signal.split(",")[0].split(" ")[0] == signal)
@@ -77,8 +74,7 @@ def check_curve(effort: Effort, signal: str, printed: bool) -> Evidence:
 def check_arm_curve(effort: Effort, state: int, printed: bool) -> Evidence:
     """Compare a run of the robot arm with the published curve of x1, x2 or x3, all samples.
 
-    ``effort`` is not used: nothing is drawn.
-    ``state``: 0, 1 or 2.
+    ``effort`` is not used: nothing is drawn. ``state``: 0, 1 or 2.
     ``printed``: with the text's coefficients.
     """
     row = published.compare_robot(_run("robot", printed))[state]
@@ -96,8 +92,7 @@ def check_arm_equation(effort: Effort, printed: bool) -> Evidence:
 def check_settled(effort: Effort, example: str, deaf: bool = False) -> Evidence:
     """Run an example on for 300 steps and see how large its state is at the end, relative to its peak.
 
-    ``effort`` is not used: nothing is drawn.
-    ``deaf``: cut the input off.
+    ``effort`` is not used: nothing is drawn. ``deaf``: cut the input off.
     """
     chosen = published.linear_example() if example == "linear" else published.robot_arm()
     plant: Plant = chosen.plant

@@ -204,8 +204,7 @@ def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
 def window_gap(record: Estimates, k: int, equation: int, printed: bool, limit: SignalModel | None = None) -> float:
     """Return by how much (47), (48), (49), (50) or (51) fails at k, as printed or corrected.
 
-    ``k``: at least the window.
-    ``equation`` is 47 to 51.
+    ``k``: at least the window. ``equation`` is 47 to 51.
     ``printed``: (47) with the residuals of theta*(k), the others with the error index l+1 instead of l+2.
     ``limit``: what stands for the limit's A^, B^ in (49) to (51), and for (A, B) on the right of (51); the identities
     hold for every model. (51) wants the truth.
