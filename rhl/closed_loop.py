@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, instance, real_array
+from rhl._checks import Array, describe, instance, numbers, real_array
 from rhl.controllability import chosen
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
@@ -254,24 +254,42 @@ def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool)
     for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
-    return np.broadcast_to(z, (*plant.batch(z), plant.n)) if isinstance(plant, LinearPlant) else z
+    z = np.broadcast_to(z, (*plant.batch(z), plant.n)) if isinstance(plant, LinearPlant) else z
+    if z.size == 0:
+        raise InputError(f"z0 must hold at least one member of the batch, got shape {z.shape}")
+    return z
 
 
 def output(plant: Plant, z: Array, k: int) -> Array:
     """Return the plant's output, which must be finite; DivergedError where it is not."""
-    y = np.asarray(plant.output(z), dtype=np.float64)
+    y = measured(plant, z)
     if not np.all(np.isfinite(y)):
         raise DivergedError(k, "the plant's output is no longer finite")
+    return y
+
+
+def measured(plant: Plant, z: Array) -> Array:
+    """Return the plant's output, finite or not; InputError where it is not p real numbers."""
+    y = _real("output", plant.output(z))
+    if y.shape[-1:] != (plant.p,):
+        raise InputError(f"the plant's output must have shape (..., {plant.p}), got {y.shape}")
     return y
 
 
 def moved(plant: Plant, z: Array, v: Array) -> Array:
     """Return the plant's next state, finite or not; InputError where it has another shape than the state."""
     with np.errstate(over="ignore", invalid="ignore"):
-        after = np.asarray(plant.step(z, v), dtype=np.float64)
+        after = _real("step", plant.step(z, v))
     if after.shape != z.shape:
         raise InputError(f"the plant's step must return a state of shape {z.shape}, as z0 has, got {after.shape}")
     return after
+
+
+def _real(name: str, found: object) -> Array:
+    try:
+        return numbers(found)
+    except (TypeError, ValueError):
+        raise InputError(f"the plant's {name} must return real numbers, got {describe(found)}") from None
 
 
 def _run(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from rhl import _engine
 from rhl._checks import Array, choice, describe, integer
-from rhl.closed_loop import ControllerState, Step, advance, check_loop, moved, output, start, step
+from rhl.closed_loop import ControllerState, Step, advance, check_loop, measured, moved, output, start, step
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError
 from rhl.lifting import remember
@@ -239,11 +239,11 @@ def _stepwise(
     controller = (_Compiled if _engine.serves(scheme) else _General)(scheme, rows)
     for k in range(len(rows.y)):
         if k:
-            y = output(plant, z, k) if not rows.lead else rows.checked(plant.output(z), k, np.zeros(scheme.p))
-        measured = through("sensor", sensor, k, np.broadcast_to(y, (*rows.lead, scheme.p)))
-        computed = controller.step(k, measured.reshape(-1, scheme.p)).reshape(*rows.lead, scheme.q)
+            y = output(plant, z, k) if not rows.lead else rows.checked(measured(plant, z), k, np.zeros(scheme.p))
+        seen = through("sensor", sensor, k, np.broadcast_to(y, (*rows.lead, scheme.p)))
+        computed = controller.step(k, seen.reshape(-1, scheme.p)).reshape(*rows.lead, scheme.q)
         applied = through("actuator", actuator, k, computed)
-        for kept, found in ((rows.y, measured), (rows.v, applied), (rows.z, z), (rows.computed, computed)):
+        for kept, found in ((rows.y, seen), (rows.v, applied), (rows.z, z), (rows.computed, computed)):
             if kept is not None:
                 kept[k] = np.reshape(found, kept.shape[1:])
         rows.freeze(k, k + 1)

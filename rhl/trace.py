@@ -113,7 +113,8 @@ class Trace:
     @classmethod
     def of_steps(cls, scheme: Scheme, steps: Iterable[Step], applied_known: bool = True) -> Trace:
         """Collect the steps of ``closed_loop`` or ``replay`` from k = 0 on; InputError if there is none."""
-        given: tuple[Any, ...] = tuple(steps)
+        unknown: Any = steps
+        given: tuple[Any, ...] = tuple(unknown) if isinstance(unknown, Iterable) else (unknown,)
         if not all(isinstance(done, Step) for done in given):
             raise InputError(f"steps must be a tuple of Step, got {describe(given)}")
         if not given:

@@ -367,6 +367,29 @@ def test_a_plant_that_brings_another_shape_is_refused():
         simulate(default_scheme(1, 1, 1), Growing(), [1.0], 3)
 
 
+@pytest.mark.parametrize(
+    ("found", "sentence"),
+    [
+        ([1.0, 2.0], r"the plant's output must have shape \(\.\.\., 1\), got \(2,\)"),
+        ([1j], "the plant's output must return real numbers, got"),
+        (None, "the plant's output must return real numbers, got None"),
+    ],
+)
+@pytest.mark.parametrize("lead", [(), (2,)])
+def test_an_output_of_another_kind_is_refused(found, sentence, lead):
+    class Odd(Counting):
+        def output(self, z):
+            return found if found is None or not lead else [found, found]
+
+    with pytest.raises(InputError, match=sentence.replace("(2,", "(2, 2" if lead else "(2,")):
+        simulate(default_scheme(1, 1, 1), Odd(), np.ones((*lead, 1)), 3)
+
+
+def test_a_batch_of_nothing_is_refused():
+    with pytest.raises(InputError, match=r"z0 must hold at least one member of the batch, got shape \(0, 2\)"):
+        simulate(scheme(), PLANT, np.ones((0, 2)), 3)
+
+
 def test_an_epsilon_that_rises_is_refused_where_it_does():
     made = replace(scheme(), controller=Controller(1.0, 1.0, 1.0, 4, lambda k: 1.0 if k != 3 else 2.0))
     with pytest.raises(InputError, match=r"epsilon must not rise .*, got 2 at k = 3 after 1"):
