@@ -250,14 +250,14 @@ class Trace:
         """Every step, in order; their plans are worked out when asked for."""
         return tuple(self._step(k) for k in range(len(self)))
 
-    def _step(self, k: int) -> Step:
+    def _step(self, k: int, with_value: bool = True) -> Step:
         scheme, models, lead = self.scheme, self._models, self.y.shape[1:-1]
         y, v = self._history(self.y, scheme.depth, k), self._history(self._known, scheme.depth, k)
         stage, value, before = np.full(lead, k), None, None
         if models.stage is not None:
             stage = models.stage[k]
-            if k > 0:
-                before, value = models.stage[k - 1], self._step(k - 1).plan.value
+            if k > 0 and with_value:
+                before, value = models.stage[k - 1], self._step(k - 1, with_value=False).plan.value
         state = ControllerState(k, y, v, self.model(k - 1), before, value)
         return Step(
             scheme,
