@@ -420,3 +420,17 @@ def test_the_loops_also_run_interpreted():
 def test_the_paper_runs():
     assert np.max(np.abs(LINEAR.run().z[-1])) < 1
     assert np.max(np.abs(ROBOT.run().z[-1])) < 1
+
+
+def test_every_loop_that_python_calls_is_compiled_beforehand(monkeypatch):
+    """What `make env` runs leaves nothing to compile, so that no notice appears in a notebook."""
+    import runpy
+
+    from rhl.kernels import loops
+
+    called = set()
+    for name in ("recursion", "rollout", "fit", "newton_step", "run"):
+        real = getattr(loops, name)
+        monkeypatch.setattr(loops, name, lambda *given, name=name, real=real: (called.add(name), real(*given)))
+    runpy.run_module("rhl.kernels.__main__")
+    assert called == {"recursion", "rollout", "fit", "newton_step", "run"}
