@@ -271,8 +271,8 @@ def output(plant: Plant, z: Array, k: int) -> Array:
 def measured(plant: Plant, z: Array) -> Array:
     """Return the plant's output, finite or not; InputError where it is not p real numbers."""
     y = _real("output", plant.output(z))
-    if y.shape[-1:] != (plant.p,):
-        raise InputError(f"the plant's output must have shape (..., {plant.p}), got {y.shape}")
+    if y.shape[-1:] != (plant.p,) or y.ndim < z.ndim:
+        raise InputError(f"the plant's output must have shape (..., {plant.p}) for states {z.shape}, got {y.shape}")
     return y
 
 

@@ -48,6 +48,10 @@ class DivergedError(RHLError, ArithmeticError):
         self.what = what
         self.trace = trace
 
+    def __reduce__(self) -> tuple[type[DivergedError], tuple[int, str, Trace | None]]:
+        # An exception is rebuilt from its message alone otherwise, which would break a pool of processes.
+        return type(self), (self.k, self.what, self.trace)
+
 
 class AssumptionWarning(UserWarning):
     """What was chosen is allowed, but an assumption of the paper, which the message names, is not known to hold."""

@@ -242,6 +242,7 @@ def _stepwise(
             y = output(plant, z, k) if not rows.lead else rows.checked(measured(plant, z), k, np.zeros(scheme.p))
         seen = through("sensor", sensor, k, np.broadcast_to(y, (*rows.lead, scheme.p)))
         computed = controller.step(k, seen.reshape(-1, scheme.p)).reshape(*rows.lead, scheme.q)
+        computed.flags.writeable = False
         applied = through("actuator", actuator, k, computed)
         for kept, found in ((rows.y, seen), (rows.v, applied), (rows.z, z), (rows.computed, computed)):
             if kept is not None:
@@ -305,6 +306,8 @@ class _General:
     def step(self, k: int, y: Array) -> Array:
         rows = self.rows
         self._keep(rows.diverged_at[self.active] < 0)
+        if len(self.active) == 0:
+            return np.zeros((len(y), self.scheme.q))
         try:
             done = step(self.scheme, self.state, y[self.active])
         except DivergedError:
@@ -313,6 +316,8 @@ class _General:
             lost = [self._diverges(i, y) for i in range(len(self.active))]
             rows.diverged_at[self.active[lost]] = k
             self._keep(~np.array(lost))
+            if len(self.active) == 0:
+                return np.zeros((len(y), self.scheme.q))
             done = step(self.scheme, self.state, y[self.active])
         self.done, v = done, np.zeros((len(y), self.scheme.q))
         v[self.active] = done.v_computed
@@ -326,6 +331,8 @@ class _General:
 
     def remember(self, v: Array) -> None:
         assert self.done is not None
+        if len(self.active) == 0:
+            return
         self.state = advance(self.scheme, self.done, v[self.active])
 
     def _diverges(self, i: int, y: Array) -> bool:

@@ -125,6 +125,9 @@ class Trace:
         z = None if given[0].z is None else np.stack([done.z for done in given])
         return cls(scheme, y, v, z, computed, applied_known, Models.of_steps(given))
 
+    def __repr__(self) -> str:
+        return f"Trace({len(self)} steps, y {self.y.shape}, v {self.v.shape}, diverged {np.sum(self.diverged_at >= 0)})"
+
     def __len__(self) -> int:
         return len(self.y)
 

@@ -1,5 +1,6 @@
 """Whole runs: the compiled loop against the scheme taken step by step, batches against their members, what is kept."""
 
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -370,7 +371,7 @@ def test_a_plant_that_brings_another_shape_is_refused():
 @pytest.mark.parametrize(
     ("found", "sentence"),
     [
-        ([1.0, 2.0], r"the plant's output must have shape \(\.\.\., 1\), got \(2,\)"),
+        ([1.0, 2.0], r"the plant's output must have shape \(\.\.\., 1\) for states .*, got \(2,\)"),
         ([1j], "the plant's output must return real numbers, got"),
         (None, "the plant's output must return real numbers, got None"),
     ],
@@ -434,3 +435,23 @@ def test_every_loop_that_python_calls_is_compiled_beforehand(monkeypatch):
         monkeypatch.setattr(loops, name, lambda *given, name=name, real=real: (called.add(name), real(*given)))
     runpy.run_module("rhl.kernels.__main__")
     assert called == {"recursion", "rollout", "fit", "newton_step", "run"}
+
+
+def test_a_diverged_run_comes_through_a_pool_of_processes():
+    with pytest.raises(DivergedError) as caught:
+        simulate(scheme(), member(doomed(1, [0]), 0), [1.0, 1.0], 50)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (again.k, str(again)) == (caught.value.k, str(caught.value))
+    assert np.array_equal(again.trace.y, caught.value.trace.y)
+
+
+@pytest.mark.parametrize("how", ["compiled", "adaptive"])
+def test_a_batch_of_which_nothing_is_left(how):
+    batch = simulate(scheme(adaptive=how == "adaptive"), doomed(3, [0, 1, 2]), np.ones((3, 2)), 40)
+    assert np.all(batch.diverged_at > 0)
+    assert np.all(np.isfinite(batch.z))
+
+
+def test_an_actuator_cannot_write_into_what_was_computed():
+    with pytest.raises(ValueError, match="read-only"):
+        simulate(scheme(), PLANT, Z0, 5, actuator=lambda k, v: np.multiply(v, 0.5, out=v))
