@@ -60,7 +60,7 @@ $(BIN)/uv:
 	$(BIN)/python -m pip install --quiet --require-hashes --requirement <(awk '/^[^ ]/ {mine = /^uv==/} mine' environment.lock)
 
 .venv/installed: environment.lock pyproject.toml | $(BIN)/uv
-	$(BIN)/uv pip sync --quiet --python $(BIN)/python --require-hashes --no-build environment.lock
+	$(BIN)/uv pip sync --quiet --compile-bytecode --python $(BIN)/python --require-hashes --no-build environment.lock
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	touch $@
 
