@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from rhl.estimator import ProximalEstimator
     from rhl.horizon import V1, V2, V3, Plan, solve
     from rhl.lifting import DelayLifting
+    from rhl.memory import GrowingMemory
     from rhl.model import PredictorMaps, SignalModel
     from rhl.plants import FunctionPlant, LinearPlant
     from rhl.schedules import PowerDecay
-    from rhl.scheme import Controller, Scheme, default_scheme
+    from rhl.scheme import Controller, Scheme, default_scheme, unit_free_scheme
     from rhl.simulation import simulate
     from rhl.trace import Trace
+    from rhl.units import RunningUnits
 
 __all__ = [
     "V1",
@@ -41,6 +43,7 @@ __all__ = [
     "DivergedError",
     "FunctionPlant",
     "GaussianNoise",
+    "GrowingMemory",
     "InfeasibleError",
     "InputError",
     "LambdaSearch",
@@ -53,6 +56,7 @@ __all__ = [
     "PredictorMaps",
     "ProximalEstimator",
     "RHLError",
+    "RunningUnits",
     "Saturation",
     "Scheme",
     "SignalModel",
@@ -66,13 +70,14 @@ __all__ = [
     "solve",
     "start",
     "step",
+    "unit_free_scheme",
 ]
 __version__ = "0.1.0"
 
 # Where these names live. They are loaded when the first is asked for, so that `rhl --help` need not wait for numpy.
 _HOMES = (
     *("closed_loop", "constraints", "controllability", "disturbances", "errors", "estimator", "horizon", "lifting"),
-    *("model", "plants", "schedules", "scheme", "simulation", "trace"),
+    *("memory", "model", "plants", "schedules", "scheme", "simulation", "trace", "units"),
 )
 
 

@@ -46,7 +46,8 @@ def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Arra
     ``plant`` is F, G, H, with batch axes or without, or None where the plant is the caller's; z, shape (..., n), is
     z(0).
     """
-    model, estimator, controller, q = scheme.initial_model, scheme.estimator, scheme.controller, scheme.q
+    model, controller, q = scheme.initial_model, scheme.controller, scheme.q
+    estimator: Any = scheme.estimator
     theta = to_lanes(np.concatenate([model.A, model.B], axis=-1), lead, 2)
     members = theta.shape[-1]
     empty = np.empty((0, 0, members)), np.empty((scheme.p, 0, members))

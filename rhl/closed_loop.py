@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +16,7 @@ from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
 from rhl.horizon import V1, Plan, first_input, solve
 from rhl.lifting import remember
+from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.plants.base import Plant, check_plant
 from rhl.plants.linear import LinearPlant
@@ -37,6 +39,10 @@ class ControllerState:
         The stage j(k-1) of an adaptive terminal weight.
     value : array, shape (...), or None
         V1 at k-1, where the weight is adaptive.
+    size : array, shape (..., p), or None
+        The largest of each output before k, where weights count in running units.
+    data : array, shape (..., n + N_v q, 2 n + N_v q), or None
+        The memory of ``GrowingMemory`` before k.
     """
 
     k: int
@@ -45,9 +51,11 @@ class ControllerState:
     model: SignalModel
     stage: np.ndarray | None = None
     value: Array | None = None
+    size: Array | None = None
+    data: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "y", "v", "value")
+        _freeze(self, "y", "v", "value", "size", "data")
         _freeze(self, "stage", kind=np.int64)
 
 
@@ -77,6 +85,8 @@ class Step:
         What epsilon was taken at: k, or the stage j(k) of an adaptive weight.
     z : array, shape (..., n), or None
         The plant's state z(k), where there is a plant.
+    size, data : array or None
+        Those of ``ControllerState`` with y(k) and the transition to k.
     """
 
     scheme: Scheme
@@ -89,9 +99,11 @@ class Step:
     lam: Array
     stage: np.ndarray
     z: Array | None = None
+    size: Array | None = None
+    data: Array | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, "y", "v_computed", "v_applied", "lam", "z")
+        _freeze(self, "y", "v_computed", "v_applied", "lam", "z", "size", "data")
         _freeze(self, "stage", kind=np.int64)
 
     @property
@@ -112,14 +124,23 @@ class Step:
     @property
     def used(self) -> SignalModel:
         """The model that the controller used: theta~(k), or theta~(k-1) where it lags."""
-        return self.state.model if self.scheme.controller.model_delay else self.model
+        return self.centre if self.scheme.controller.model_delay else self.model
+
+    @property
+    def centre(self) -> SignalModel:
+        """The proximal centre theta~(k-1): at k = 0 the initial model, in the units of the signals."""
+        return _centre(self.scheme, self.state, self.size)
+
+    @property
+    def _sizes(self) -> tuple[Array, Array] | None:
+        return _sizes(self.scheme, self.used, self.size)
 
     @cached_property
     def problem(self) -> V1:
         """What was solved at k, equation (3) for the augmented model."""
         scheme = self.scheme
         x = scheme.lifting.augmented_state(remember(self.state.y, self.y), self.state.v)
-        return scheme.controller.problem(scheme.lifting.augment(self.used), x, self.stage)
+        return scheme.controller.problem(scheme.lifting.augment(self.used), x, self.stage, self._sizes)
 
     @cached_property
     def plan(self) -> Plan:
@@ -139,8 +160,35 @@ def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64
 def start(scheme: Scheme) -> ControllerState:
     """Return the state before k = 0: all signals zero, the initial model."""
     instance("scheme", scheme, Scheme)
-    depth = scheme.depth
-    return ControllerState(0, np.zeros((depth, scheme.p)), np.zeros((depth, scheme.q)), scheme.initial_model)
+    depth, model, estimator = scheme.depth, scheme.initial_model, scheme.estimator
+    return ControllerState(
+        0,
+        np.zeros((depth, scheme.p)),
+        np.zeros((depth, scheme.q)),
+        model,
+        size=None if scheme.units is None else np.zeros(scheme.p),
+        data=estimator.begin(model.n, model.q) if isinstance(estimator, GrowingMemory) else None,
+    )
+
+
+def _centre(scheme: Scheme, state: ControllerState, size: Array | None) -> SignalModel:
+    if scheme.units is None or state.k > 0 or size is None:
+        return state.model
+    return scheme.units.initial(state.model, scheme.lifting, size, scheme.q)
+
+
+def _sizes(scheme: Scheme, used: SignalModel, size: Array | None) -> tuple[Array, Array] | None:
+    return None if scheme.units is None else scheme.units.weights(used, scheme.lifting, cast(Array, size), scheme.q)
+
+
+def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
+    """Return the memory of ``GrowingMemory`` at k; nothing is remembered while zeros from before k = 0 are lifted."""
+    estimator = scheme.estimator
+    assert isinstance(estimator, GrowingMemory)
+    assert state.data is not None
+    if state.k < max(scheme.lifting.outputs, scheme.lifting.inputs):
+        return state.data
+    return estimator.remember(state.data, x, u)
 
 
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
@@ -175,20 +223,32 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     v_history = np.broadcast_to(state.v, (*lead, *state.v.shape[-2:]))
     x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
-    estimate = estimator.minimise(state.model, x, u, state.k)
-    lam = chosen(scheme.mixing, estimate, state.model, lifting.augment)
-    model = estimate.mix(state.model, lam)
+    size = None if state.size is None else np.maximum(state.size, np.abs(y_history[..., 0, :]))
+    centre, data = _centre(scheme, state, size), state.data
+    if isinstance(estimator, GrowingMemory):
+        data = remembered(scheme, state, x, u)
+        counted = None if scheme.units is None else scheme.units.parameters(lifting, cast(Array, size), scheme.q)
+        estimate = estimator.minimise(centre, data, counted)
+    else:
+        estimate = estimator.minimise(centre, x, u, state.k)
+    lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
+    model = estimate.mix(centre, lam)
     stage = np.full(lead, state.k) if state.stage is None else state.stage
     X = lifting.with_past_inputs(x[..., 0, :], v_history)
-    used = lifting.augment(state.model if controller.model_delay else model)
-    weight = real_array("weight", controller.weight(X, stage))
-    v = first_input(used, scheme.factors, controller.horizon, weight, X)
-    taken = Step(scheme, state, y, v, v, estimate, model, lam, stage)
+    lifted = centre if controller.model_delay else model
+    used, sizes, factors, counts = lifting.augment(lifted), _sizes(scheme, lifted, size), scheme.factors, X
+    if sizes is not None:
+        (of_x, of_v), (Q, R, QN) = sizes, factors
+        factors = Q * of_x[..., None, :], R * of_v[..., None, :], QN * of_x[..., None, :]
+        counts = of_x * X
+    weight = real_array("weight", controller.weight(counts, stage))
+    v = first_input(used, factors, controller.horizon, weight, X)
+    taken = Step(scheme, state, y, v, v, estimate, model, lam, stage, size=size, data=data)
     if controller.adaptive and state.value is not None:
         value = taken.plan.value
         stuck = (value >= state.value) & (value > 0)
         if np.any(stuck):
-            v = first_input(used, scheme.factors, controller.horizon, controller.weight(X, stage + stuck), X)
+            v = first_input(used, factors, controller.horizon, controller.weight(counts, stage + stuck), X)
             taken = replace(taken, v_computed=v, v_applied=v, stage=stage + stuck)
     return taken
 
@@ -204,7 +264,7 @@ def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> Controlle
     with np.errstate(over="ignore", invalid="ignore"):
         stage, value = (done.stage, done.plan.value) if adaptive else (None, None)
     y, u = remember(done.state.y, done.y), remember(done.state.v, np.broadcast_to(applied, done.v_computed.shape))
-    return ControllerState(done.k + 1, y, u, done.model, stage, value)
+    return ControllerState(done.k + 1, y, u, done.model, stage, value, done.size, done.data)
 
 
 def closed_loop(

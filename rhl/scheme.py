@@ -15,8 +15,10 @@ from rhl.estimator import ProximalEstimator
 from rhl.horizon import V1, factor
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares, called
+from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.schedules import PowerDecay, Schedule, epsilon_at
+from rhl.units import RunningUnits
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +77,21 @@ class Controller:
                 stacklevel=3,
             )
 
-    def problem(self, model: SignalModel, x: Array, k: int | np.ndarray) -> V1:
-        """Set up V1 for the augmented model and state with epsilon(k), equation (3); see :meth:`weight`."""
-        return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
+    def problem(
+        self, model: SignalModel, x: Array, k: int | np.ndarray, sizes: tuple[Array, Array] | None = None
+    ) -> V1:
+        """Set up V1 for the augmented model and state with epsilon(k), equation (3); see :meth:`weight`.
+
+        ``sizes``, where weights count in them, is what ``RunningUnits.weights`` returns.
+        """
+        if sizes is None:
+            return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
+        of_x, of_v = (np.asarray(of)[..., None, :] * np.asarray(of)[..., :, None] for of in sizes)
+        Q, R, QN = (
+            weight_matrix(name, getattr(self, name), of.shape[-1]) * of
+            for name, of in (("Q", of_x), ("R", of_v), ("QN", of_x))
+        )
+        return V1(model, Q, R, QN, self.weight(sizes[0] * x, k), self.horizon)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
         """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3), for the augmented state x (..., n).
@@ -101,7 +115,7 @@ class Scheme:
     ----------
     lifting : DelayLifting
         How x and u are made of y and v.
-    estimator : ProximalEstimator
+    estimator : ProximalEstimator or GrowingMemory
         Equation (15).
     controller : Controller
         Equation (3).
@@ -109,22 +123,26 @@ class Scheme:
         theta~(0), lifted; controllable (Theorem 2(iii)).
     mixing : Mixing
         How lambda_k is chosen: ConstantMixing, LambdaSearch, or an object of your own with a function ``choose``.
+    units : RunningUnits, optional
+        Weights and initial model count signals in sizes that the run shows; where omitted, as they are.
     """
 
     lifting: DelayLifting
-    estimator: ProximalEstimator
+    estimator: ProximalEstimator | GrowingMemory
     controller: Controller
     initial_model: SignalModel
     mixing: Mixing = field(default_factory=ConstantMixing)
+    units: RunningUnits | None = None
 
     def __post_init__(self) -> None:
-        for name, kind in (
+        for name, *kinds in (
             ("lifting", DelayLifting),
-            ("estimator", ProximalEstimator),
+            ("estimator", ProximalEstimator, GrowingMemory),
             ("controller", Controller),
             ("initial_model", SignalModel),
         ):
-            instance(name, getattr(self, name), kind)
+            instance(name, getattr(self, name), *kinds)
+        self._check_units()
         # An array has a function of that name, which does something else.
         if not callable(getattr(self.mixing, "choose", None)) or isinstance(self.mixing, type | np.ndarray):
             wanted = "a ConstantMixing, a LambdaSearch, or an object with a function choose"
@@ -151,6 +169,20 @@ class Scheme:
                     f"its {self.mixing.pair} pair must have a margin of at least {self.mixing.least_margin:g}, "
                     f"got {least:.3g}; choose another initial model, lower least_margin, or mix by a constant"
                 )
+
+    def _check_units(self) -> None:
+        if self.units is None:
+            return
+        instance("units", self.units, RunningUnits)
+        if self.lifting.basis is not None:
+            raise InputError("units must be None where a lifting appends basis functions, which have no size, got some")
+        if not isinstance(self.estimator, GrowingMemory):
+            raise InputError(
+                f"units need an estimator whose weight counts in them: GrowingMemory, got {describe(self.estimator)}"
+            )
+        given, q = np.shape(self.units.inputs), self.initial_model.q // self.lifting.inputs
+        if given not in ((), (q,)):
+            raise InputError(f"units must have one size for inputs, or {q}, one for each input, got {given[0]}")
 
     @cached_property
     def factors(self) -> tuple[Array, Array, Array]:
@@ -193,4 +225,35 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
         estimator=ProximalEstimator(2 * order, generator=WeightedSquares(0.01)),
         controller=Controller(1.0, 1.0, 1.0, max(30, 2 * (n + (order - 1) * q)), PowerDecay(10)),
         initial_model=SignalModel.companion_of_ones(n, q * order, "last-row-of-ones"),
+    )
+
+
+def unit_free_scheme(p: int, q: int, order: int, inputs: Array | float = 1.0) -> Scheme:
+    r"""Return a scheme for plants of which nothing is known, not even the size of their signals.
+
+    ``p``, ``q`` and ``order`` are those of :func:`default_scheme`; ``inputs`` is a size of the inputs to begin with,
+    see :class:`RunningUnits`. What differs from ``default_scheme``, and why:
+
+    - every measured transition is kept (:class:`GrowingMemory`, weight 1e-8): a window of 2m transitions has fewer
+      equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer shows;
+    - weights count signals in sizes that the run shows (:class:`RunningUnits`), since a weight that suits 0.05 rad
+      does not suit a column at 300 K;
+    - R = 1e-4: once Gamma(x)/eps(k) has vanished with x, nothing but the stage costs holds an unstable plant, and an
+      input that costs much lets it drift over the horizon;
+    - eps(k) = 1/(1+k): with a faster one the terminal weight outruns the estimate and the peak is higher;
+    - the initial model only moves outputs along, and input j moves output i by 1/(1 + |i - j|) of its size: the first
+      inputs, about as large as the size given, are what the estimate learns from. No two inputs do the same, since
+      inputs that the model cannot tell apart stay equal until rounding parts them.
+    """
+    for name, value in (("p", p), ("q", q), ("order", order)):
+        integer(name, value, 1)
+    n = p * order
+    A, B = np.eye(n, k=-p), np.zeros((n, q * order))
+    B[:p, :q] = 1.0 / (1.0 + np.abs(np.arange(p)[:, None] - np.arange(q)))
+    return Scheme(
+        lifting=DelayLifting(order, order),
+        estimator=GrowingMemory(),
+        controller=Controller(1.0, 1e-4, 1.0, max(30, 2 * (n + (order - 1) * q)), PowerDecay(1)),
+        initial_model=SignalModel(A, B),
+        units=RunningUnits(inputs),
     )

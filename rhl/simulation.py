@@ -300,7 +300,11 @@ class _General:
         model = scheme.initial_model
         A, B = (np.broadcast_to(M, (*rows.lead, *M.shape[-2:])).reshape(-1, *M.shape[-2:]) for M in (model.A, model.B))
         y, v = (np.broadcast_to(past, (members, *past.shape)) for past in (begun.y, begun.v))
-        self.active, self.state = np.arange(members), ControllerState(0, y, v, SignalModel(A, B))
+        size, data = (
+            None if of is None else np.broadcast_to(of, (members, *of.shape)) for of in (begun.size, begun.data)
+        )
+        self.active = np.arange(members)
+        self.state = ControllerState(0, y, v, SignalModel(A, B), size=size, data=data)
         self.done: Step | None = None
 
     def step(self, k: int, y: Array) -> Array:
@@ -349,5 +353,7 @@ class _General:
 
 def _members(state: ControllerState, which: np.ndarray) -> ControllerState:
     model = SignalModel(state.model.A[which], state.model.B[which])
-    stage, value = (None if of is None else of[which] for of in (state.stage, state.value))
-    return ControllerState(state.k, state.y[which], state.v[which], model, stage, value)
+    stage, value, size, data = (
+        None if of is None else of[which] for of in (state.stage, state.value, state.size, state.data)
+    )
+    return ControllerState(state.k, state.y[which], state.v[which], model, stage, value, size, data)

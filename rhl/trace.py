@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rhl.closed_loop import ControllerState, Step, replay
 from rhl.controllability import controllability_margin
 from rhl.errors import InputError
 from rhl.horizon import Plan
+from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
 
@@ -212,12 +213,51 @@ class Trace:
         else:
             stages = np.broadcast_to(self.k.reshape(-1, *[1] * (self.y.ndim - 2)), self.y.shape[:-1])
         assert stages is not None
+        units, size = self.scheme.units, self._size
+        if units is not None and size is not None:
+            used = self._pair(self._models.model)
+            if self.scheme.controller.model_delay:
+                theta = np.stack([np.concatenate([of.A, of.B], axis=-1) for of in map(self._centre, range(len(self)))])
+                used = self._pair(theta)
+            state = units.weights(used, self.scheme.lifting, size, self.scheme.q)[0] * state
         return self.scheme.controller.weight(state, stages)
+
+    @cached_property
+    def _size(self) -> Array | None:
+        """The largest of each output up to k, shape (steps, ..., p), where weights count in running units."""
+        return None if self.scheme.units is None else np.maximum.accumulate(np.abs(self.y))
+
+    @cached_property
+    def _data(self) -> tuple[Array | None, ...]:
+        """The memory of ``GrowingMemory`` before k = 0, and at every k."""
+        estimator = self.scheme.estimator
+        if not isinstance(estimator, GrowingMemory):
+            return (None,) * (len(self) + 1)
+        x, u = self._lifted
+        data, first = estimator.begin(x.shape[-1], u.shape[-1]), self._first
+        found = [np.broadcast_to(data, (*x.shape[1:-1], *data.shape))]
+        for k in range(len(self)):
+            given = np.stack([x[k], x[k - 1]], axis=-2), u[k][..., None, :]
+            found.append(estimator.remember(found[-1], *given) if k >= first else found[-1])
+        return tuple(found)
+
+    @property
+    def _first(self) -> int:
+        """The first k whose transition is all measured."""
+        return max(self.scheme.lifting.outputs, self.scheme.lifting.inputs)
+
+    def _centre(self, k: int) -> SignalModel:
+        units, size = self.scheme.units, self._size
+        if k > 0 or units is None or size is None:
+            return self.model(k - 1)
+        return units.initial(self.model(-1), self.scheme.lifting, size[0], self.scheme.q)
 
     @cached_property
     def newton_decrement(self) -> Array:
         """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
         estimator, lifting = self.scheme.estimator, self.scheme.lifting
+        if isinstance(estimator, GrowingMemory):
+            return np.stack([self._decrement(estimator, k) for k in range(len(self))])
         rows = []
         for k in range(len(self)):
             x = lifting.lift(self._history(self.y, estimator.window + 1 + lifting.outputs, k + 1), estimator.window + 1)
@@ -225,6 +265,16 @@ class Trace:
             u = lifting.window(v, lifting.inputs, estimator.window)
             rows.append(estimator.newton_decrement(self._estimate(k), self.model(k - 1), x, u, k))
         return np.stack(rows)
+
+    def _decrement(self, estimator: GrowingMemory, k: int) -> Array:
+        if k < self._first:
+            return np.zeros(self.y.shape[1:-1])
+        scheme, (x, u), since = self.scheme, self._lifted, slice(self._first, k + 1)
+        size = None if self._size is None or scheme.units is None else self._size[k]
+        counted = None if size is None else cast(Any, scheme.units).parameters(scheme.lifting, size, scheme.q)
+        states = np.moveaxis(x[self._first - 1 : k + 1][::-1], 0, -2)
+        inputs = np.moveaxis(u[since][::-1], 0, -2)
+        return estimator.newton_decrement(self._estimate(k), self._centre(k), states, inputs, counted)
 
     @cached_property
     def margin_lifted(self) -> Array:
@@ -261,7 +311,9 @@ class Trace:
             stage = models.stage[k]
             if k > 0 and with_value:
                 before, value = models.stage[k - 1], self._step(k - 1, with_value=False).plan.value
-        state = ControllerState(k, y, v, self.model(k - 1), before, value)
+        size = None if self._size is None else self._size[k]
+        earlier = None if self._size is None else self._size[k - 1] if k else np.zeros_like(self._size[0])
+        state = ControllerState(k, y, v, self.model(k - 1), before, value, earlier, self._data[k])
         return Step(
             scheme,
             state,
@@ -273,6 +325,8 @@ class Trace:
             models.lam[k],
             stage,
             None if self.plant_state is None else self.plant_state[k],
+            size,
+            self._data[k + 1],
         )
 
     def plan(self, k: int) -> Plan:

@@ -38,6 +38,8 @@ CORE = [
     "losses._descent",
     "constraints",
     "estimator",
+    "memory",
+    "units",
     "controllability",
     "_riccati",
     "horizon",
@@ -95,6 +97,8 @@ FORBIDDEN = {
     "horizon": {"estimator", "controllability", "lifting", *PLANTS},
     "scheme": PLANTS,
     "estimator": {"lifting", *PLANTS},
+    "memory": {"lifting", *PLANTS},
+    "units": {"estimator", "losses", *PLANTS},
     "lifting": PLANTS,
     "app.cli": {"paper.pages", "paper.sweeps"},
 }

@@ -15,6 +15,7 @@ NAMES = [
     "DivergedError",
     "FunctionPlant",
     "GaussianNoise",
+    "GrowingMemory",
     "InfeasibleError",
     "InputError",
     "LinearConstraints",
@@ -28,6 +29,7 @@ NAMES = [
     "PredictorMaps",
     "ProximalEstimator",
     "RHLError",
+    "RunningUnits",
     "Saturation",
     "Scheme",
     "SignalModel",
@@ -44,6 +46,7 @@ NAMES = [
     "solve",
     "start",
     "step",
+    "unit_free_scheme",
 ]
 
 

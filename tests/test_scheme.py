@@ -85,7 +85,7 @@ def test_frozen():
     ("changes", "sentence"),
     [
         ({"lifting": 2}, "lifting must be a DelayLifting, got 2"),
-        ({"estimator": "squares"}, "estimator must be a ProximalEstimator, got 'squares'"),
+        ({"estimator": "squares"}, "estimator must be a ProximalEstimator or a GrowingMemory, got 'squares'"),
         ({"controller": None}, "controller must be a Controller, got None"),
         ({"initial_model": np.eye(2)}, r"initial_model must be a SignalModel, got array\("),
         (

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from rhl._checks import Array, describe, real_array, shown
-from rhl.app._keys import COUNT, TEXT, Section, key, table_of
+from rhl.app._keys import COUNT, POSITIVE, SIZE, TEXT, Section, key, list_of, table_of
 from rhl.app._sections import (
     PLANTS,
     ControllerSection,
@@ -29,7 +29,11 @@ from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.published import Experiment
 from rhl.plants import Plant
-from rhl.scheme import Scheme
+from rhl.scheme import Scheme, unit_free_scheme
+
+# The sections that stand in a file without the key order, and those that may not stand beside it.
+_NEEDED = ("lifting", "estimator", "controller")
+_CHOSEN = (*_NEEDED, "knowledge", "rough")
 
 # Of the file, in bytes: room for matrices of a few hundred rows.
 _LARGEST = 5_000_000
@@ -40,10 +44,22 @@ class Config(Section):
 
     name = key("{}, what the run is called", TEXT)
     steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
+    order = key(
+        "{}, an upper bound of the plant's observability index: in place of the sections below, the scheme is chosen "
+        "from it, for plants whose signals may have any size",
+        SIZE,
+        default=None,
+    )
+    input_size = key(
+        "{}, or one for each input: the size of the first inputs where order is given; 1 if left out",
+        POSITIVE,
+        list_of(POSITIVE),
+        default=None,
+    )
     plant = key("{}", table_of(*PLANTS))
-    lifting = key("{}", table_of(LiftingSection))
-    estimator = key("{}", table_of(EstimatorSection))
-    controller = key("{}", table_of(ControllerSection))
+    lifting = key("{}", table_of(LiftingSection), default=None)
+    estimator = key("{}", table_of(EstimatorSection), default=None)
+    controller = key("{}", table_of(ControllerSection), default=None)
     knowledge = key("{}", table_of(KnowledgeSection), default=None)
     rough = key("{}", table_of(RoughSection), default=None)
     simulation = key("{}", table_of(SimulationSection), default=None)
@@ -52,6 +68,21 @@ class Config(Section):
         """Build what the file describes; InputError, which begins with the key, if sizes do not fit each other."""
         with _under("plant"):
             plant, z0 = self._plant()
+        scheme = self._scheme(plant) if self.order is None else self._chosen_scheme(plant)
+        simulation = self.simulation or SimulationSection({})
+        with _under("simulation"):
+            sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
+        return Experiment(self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known)
+
+    def _chosen_scheme(self, plant: Plant) -> Scheme:
+        given, size = self.input_size, 1.0 if self.input_size is None else self.input_size
+        if isinstance(given, list) and len(given) != plant.q:
+            raise InputError(
+                f"input_size must be a number or have {plant.q} entries, one for each input, got {len(given)}"
+            )
+        return unit_free_scheme(plant.p, plant.q, self.order, size)
+
+    def _scheme(self, plant: Plant) -> Scheme:
         with _under("lifting"):
             lifting = self.lifting.lifting()
             n, q = lifting.size(plant.p), plant.q * self.lifting.inputs
@@ -66,11 +97,7 @@ class Config(Section):
         with _under("controller"):
             controller = self.controller.controller()
         with _under("controller", otherwise="estimator"):
-            scheme = Scheme(lifting, estimator, controller, initial_model, mixing)
-        simulation = self.simulation or SimulationSection({})
-        with _under("simulation"):
-            sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
-        return Experiment(self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known)
+            return Scheme(lifting, estimator, controller, initial_model, mixing)
 
     def _plant(self) -> tuple[Plant, Array]:
         plant, z0 = self.plant.plant()
@@ -162,9 +189,16 @@ def parse(data: dict[str, Any]) -> Config:
         raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
     wrong: list[tuple[bool, str]] = []
     config = Config.read("", data, wrong)
+    for section in _NEEDED:
+        if "order" not in given and section not in given:
+            wrong.append((False, f"{section} must be a section, got nothing; add the section, or order in its place"))
+    for section in _CHOSEN:
+        if "order" in given and section in given:
+            wrong.append((False, f"{section} must be left out where order is given, which chooses it, got both"))
     # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
     for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
         raise InputError(sentence)
+    config.heeded("input_size", "order" in given, "where order is left out")
     return config
 
 
@@ -196,7 +230,13 @@ def keys() -> Iterator[tuple[str, str]]:
 
 def schema() -> dict[str, Any]:
     """Return the file's form as a JSON schema, for editors that complete and check TOML."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "rhl run", **Config.schema()}
+    given = [{"required": [name]} for name in _CHOSEN]
+    either = {
+        "if": {"required": ["order"]},
+        "then": {"not": {"anyOf": given}},
+        "else": {"required": list(_NEEDED), "not": {"required": ["input_size"]}},
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "rhl run", **Config.schema(), **either}
 
 
 _EXAMPLE: dict[str, dict[str, object]] = {
@@ -224,7 +264,7 @@ def template(name: str) -> str:
     example: dict[str, object] = {"name": name, "steps": 60}
     for table, about in Config.keys().items():
         if "sections" not in about:
-            lines += _entry(table, about["description"], example[table])
+            lines += _entry(table, about["description"], example.get(table), about.get("default"))
             continue
         section, given = about["sections"][0], _EXAMPLE.get(table, {})
         lines += ["", f"# {' '.join(section.__doc__.split())}", f"[{table}]" if given else f"# [{table}]"]

@@ -16,6 +16,7 @@ from rhl.controllability import LambdaSearch, controllability_margin
 from rhl.disturbances import Disturbance, Disturbances
 from rhl.errors import InputError
 from rhl.losses import Convex, Varying, called
+from rhl.memory import GrowingMemory
 from rhl.plants import LinearPlant, Plant
 from rhl.plants.analysis import (
     Modes,
@@ -212,11 +213,19 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
             f"x(k) has {scheme.initial_model.n} entries; that a linear model of them exists (Assumption 7) is a hope, "
             "look at it after a run",
         )
+    if scheme.units is not None:
+        yield Finding(
+            "Running units",
+            "outside",
+            "weights count signals in sizes that the run shows; Theorem 1 is stated for weights that do not change",
+        )
     n, q = scheme.initial_model.n, scheme.initial_model.q
+    whole = isinstance(estimator, GrowingMemory)
+    data = "every transition measured" if whole else f"{estimator.window} transitions of {n} numbers"
     yield Finding(
         "Size",
         "note",
-        f"A is {n} by {n}, B {n} by {q}: {n * (n + q)} parameters from {estimator.window} transitions of {n} numbers; "
+        f"A is {n} by {n}, B {n} by {q}: {n * (n + q)} parameters from {data}; "
         f"augmented model of order {size}; {_pace(scheme)}",
     )
 

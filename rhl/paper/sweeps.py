@@ -274,7 +274,8 @@ def _rate(powers: Iterable[int], own: float) -> Setting:
 
 def _window(values: Iterable[int], own: int) -> Setting:
     def change(e: Experiment, value: float) -> Experiment:
-        return replace(e, scheme=replace(e.scheme, estimator=replace(e.scheme.estimator, window=int(value))))
+        estimator: Any = e.scheme.estimator
+        return replace(e, scheme=replace(e.scheme, estimator=replace(estimator, window=int(value))))
 
     return Setting("window", "estimator's window", "N̄", tuple(values), own, change)
 

@@ -12,7 +12,8 @@ from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import LinearPlant, RobotArm
-from rhl.scheme import default_scheme
+from rhl.scheme import default_scheme, unit_free_scheme
+from rhl.simulation import simulate
 
 LINEAR = """\
 name = "linear"
@@ -154,7 +155,11 @@ REFUSED = [
     ("steps = 42", "steps = 1" + "0" * 5000, "must be valid TOML, got: Exceeds the limit"),
     ("outputs = 4", "outputs = 1000", "lifting.outputs must be an integer from 1 to 100"),
     ("horizon = 20", '"a b\\n\\u001b[31m" = 1\nhorizon = 20', "controller.'a b.*31m' is not a known key"),
-    ("[controller]", "[controler]", "controler is not a known key; expected one of name, steps, plant"),
+    (
+        "[controller]",
+        "[controler]",
+        "controler is not a known key; expected one of name, steps, order, input_size, plant",
+    ),
     ("[lifting]\noutputs = 4\ninputs = 4\n", "", "lifting must be a section, got nothing; add the section"),
 ]
 
@@ -308,6 +313,53 @@ def verdicts(data):
 
 
 VALIDATOR = jsonschema.Draft202012Validator(schema())
+ORDER = """
+name = "no unit"
+steps = 80
+order = 2
+
+[plant]
+kind = "linear"
+F = [[1.1, 1.0], [0.0, 0.9]]
+G = [[0.0], [1.0]]
+H = [[1.0, 0.0]]
+z0 = [1.0, -1.0]
+"""
+
+
+def test_an_order_chooses_the_scheme():
+    found = read(ORDER).experiment()
+    trace = found.run()
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    assert np.array_equal(trace.v, simulate(unit_free_scheme(1, 1, 2), plant, [1.0, -1.0], 80).v)
+    assert np.abs(trace.z[-1]).max() < 1e-6
+    other = read(ORDER.replace("order = 2", "order = 2\ninput_size = 0.1")).experiment().run()
+    assert np.array_equal(other.v, simulate(unit_free_scheme(1, 1, 2, 0.1), plant, [1.0, -1.0], 80).v)
+    assert not np.array_equal(other.v, trace.v)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("order = 2\n", "", "lifting must be a section, got nothing; add the section, or order in its place"),
+        ("order = 2", "order = 0", "order must be an integer from 1 to 100, an upper bound .* got 0"),
+        ("[plant]", "[lifting]\noutputs = 2\ninputs = 2\n[plant]", "lifting must be left out where order is given"),
+        ("[plant]", "[knowledge]\nshift_rows = true\n[plant]", "knowledge must be left out where order is given"),
+        ("order = 2", "order = 2\ninput_size = -1", "input_size must be a positive number.* got -1"),
+        ("order = 2", "order = 2\ninput_size = [1, 2]", "input_size must be a number or have 1 entries, .* got 2"),
+    ],
+)
+def test_an_order_refused(old, new, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read(ORDER.replace(old, new, 1)).experiment()
+
+
+def test_an_input_size_needs_an_order():
+    with pytest.raises(InputError, match="input_size must be left out where order is left out"):
+        read(f"input_size = 2\n{LINEAR}").experiment()
+    assert verdicts(tomllib.loads(f"input_size = 2\n{LINEAR}")) == (False, False)
+    assert verdicts(tomllib.loads(ORDER)) == (True, True)
+    assert verdicts(tomllib.loads(ORDER) | {"rough": {"F": [[1]], "G": [[1]], "H": [[1]]}}) == (False, False)
 
 
 @pytest.mark.parametrize("path", [path for path, _ in keys()])
@@ -316,7 +368,8 @@ def test_the_schema_and_the_parser_agree_on_every_key(path):
     seen = set()
     for plant in [tomllib.loads(LINEAR)["plant"], *(PLANTS if tables == ["plant"] else [])]:
         for value in VALUES:
-            data = tomllib.loads(LINEAR) | {"plant": dict(plant)}
+            whole = tomllib.loads(ORDER if path in ("order", "input_size") else LINEAR)
+            data = whole | {"plant": dict(plant)}
             table = data.setdefault(tables[0], {}) if tables else data
             if tables == ["rough"]:
                 table |= {"F": [[1]], "G": [[1]], "H": [[1]]}

@@ -1,0 +1,106 @@
+"""An estimator that forgets nothing: every measured transition, in a triangle that does not grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhl._checks import Array, instance, positive
+from rhl._lanes import from_lanes, to_lanes
+from rhl.errors import InputError
+from rhl.estimator import ProximalEstimator
+from rhl.losses import WeightedSquares
+from rhl.model import SignalModel
+
+
+@dataclass(frozen=True, eq=False)
+class GrowingMemory:
+    r"""One proximal step towards all transitions since the window was first full of measurements.
+
+    .. math::
+        \theta^*(k) = \arg\min_\theta \sum_{j=m}^{k} |x(j) - A x(j-1) - B u(j-1)|^2
+            + \rho |\theta - \tilde\theta(k-1)|^2
+
+    This is equation (15) with squares and a window that grows from the first transition without a zero from before
+    k = 0, m = max(N_y, N_v). The loss never falls in k, so that the iterates of Lemma 4 converge into X as printed.
+    The transitions are kept as the triangle of their orthogonal factorisation: memory and time of a step are constant.
+    Nothing is forgotten, so a plant that changes, and an output that once was wrong, stay in the estimate.
+
+    Parameters
+    ----------
+    weight : float
+        :math:`\rho`, positive. With ``RunningUnits`` it counts signals in their sizes; without, in squares of x and u.
+
+    Examples
+    --------
+    >>> memory = GrowingMemory(1e-12)
+    >>> data = memory.remember(memory.begin(1, 1), np.array([[1.5], [1.0]]), np.array([[0.0]]))
+    >>> memory.minimise(SignalModel([[0.0]], [[1.0]]), data).A.round(9)  # the input was zero: B stays
+    array([[1.5]])
+    """
+
+    weight: float = 1e-8
+
+    # What the other parts ask of any estimator.
+    window = 1
+    by_rows = False
+    constraints = None
+    loss = WeightedSquares()
+    generator = WeightedSquares()
+
+    def __post_init__(self) -> None:
+        positive("weight", self.weight)
+
+    def begin(self, n: int, q: int) -> Array:
+        """Return the memory without a transition, shape (n + q, 2 n + q), for x of size n and u of size q."""
+        return np.zeros((n + q, 2 * n + q))
+
+    def remember(self, data: Array, x: Array, u: Array) -> Array:
+        r"""Return the memory with one more transition, from x and u as ``ProximalEstimator.minimise`` takes them.
+
+        x holds x(k), x(k-1), shape (..., 2, n), u holds u(k-1), shape (..., 1, q). The memory [T, Z], shape
+        (..., n + q, 2 n + q), has T upper triangular, and the sum of squares is \|T theta' - Z\|^2 plus a constant.
+        """
+        from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+
+        row = np.concatenate([x[..., 1:2, :], u[..., :1, :], x[..., :1, :]], axis=-1)
+        lead, d = np.broadcast_shapes(data.shape[:-2], row.shape[:-2]), data.shape[-2]
+        triangle = to_lanes(data, lead, 2)
+        loops.rotate(triangle, to_lanes(row, lead, 2), d)
+        return from_lanes(triangle, lead)
+
+    def minimise(self, centre: SignalModel, data: Array, size: Array | None = None) -> SignalModel:
+        """Return theta*(k) for the memory; ``size``, (..., n + q), are the sizes of [x; u], one where left out."""
+        from rhl.kernels import loops
+
+        instance("centre", centre, SignalModel)
+        n, d = centre.n, centre.n + centre.q
+        if data.shape[-2:] != (d, d + n):
+            raise InputError(f"data must have shape ({d}, {d + n}), as begin returns it, got {data.shape[-2:]}")
+        theta = np.concatenate([centre.A, centre.B], axis=-1)
+        T, Z = data[..., :d], data[..., d:]
+        off = Z - T @ theta.swapaxes(-1, -2)
+        rows = np.concatenate([np.broadcast_to(T, (*off.shape[:-2], d, d)), off], axis=-1)
+        roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
+        lead = np.broadcast_shapes(rows.shape[:-2], roots.shape[:-1])
+        held = np.concatenate([roots[..., None] * np.eye(d), np.zeros((*roots.shape[:-1], d, n))], axis=-1)
+        triangle = to_lanes(held, lead, 2)
+        loops.rotate(triangle, to_lanes(rows, lead, 2), d)
+        loops.back_substitute(triangle, d)
+        found = theta + from_lanes(triangle[:, d:], lead).swapaxes(-1, -2)
+        return SignalModel(found[..., :n], found[..., n:])
+
+    def newton_decrement(
+        self, model: SignalModel, centre: SignalModel, x: Array, u: Array, size: Array | None = None
+    ) -> Array:
+        """Certify an answer from all transitions themselves: ``ProximalEstimator.newton_decrement`` of that window.
+
+        x holds x(k), ..., x(m-1), and u holds u(k-1), ..., u(m-1), newest first.
+        """
+        n, d = centre.n, centre.n + centre.q
+        squares = self.weight * np.square(np.ones(d) if size is None else size)
+        if squares.ndim > 1:
+            raise InputError(f"size must be of one run, shape ({d},), got shape {squares.shape}; take one member")
+        every = ProximalEstimator(u.shape[-2], generator=WeightedSquares(np.repeat(squares, n)))
+        return every.newton_decrement(model, centre, x, u)

@@ -1,0 +1,77 @@
+"""Sizes in which weights count signals, so that a scheme needs no unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhl._checks import Array, real_array
+from rhl.errors import InputError
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
+
+
+@dataclass(frozen=True, eq=False)
+class RunningUnits:
+    r"""Weights count outputs and inputs in sizes that the run itself shows.
+
+    The size of an output is the largest that was measured of it so far, :math:`s_i(k) = \max_{j \le k} |y_i(j)|`. The
+    size of an input is what moves some output by its size, by the model in use,
+    :math:`1 / \max_i \sum_l |B_{i}(l)| / s_i` over the rows that predict y(k+1) and the N_v inputs that u stacks. Q, R,
+    QN and Gamma of the controller and the weight of ``GrowingMemory`` count signals in these sizes, and so does the
+    initial model. The same plant in other units then gives the same run.
+
+    The sizes settle where the outputs are bounded and the estimates converge; Theorem 1 is stated for weights that do
+    not change, so this is outside of it.
+
+    Parameters
+    ----------
+    inputs : float or array_like, shape (q,)
+        A size of each input to begin with, positive: a tenth of the actuator's range is a good one. The first inputs
+        are of that size, before anything is known of what they do.
+    """
+
+    inputs: Array | float = 1.0
+
+    def __post_init__(self) -> None:
+        sizes = real_array("inputs", self.inputs)
+        if sizes.ndim > 1 or sizes.size == 0 or np.any(sizes <= 0):
+            raise InputError(f"inputs must be positive, a number or one for each input, got {self.inputs}")
+        object.__setattr__(self, "inputs", sizes)
+
+    def initial(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> SignalModel:
+        """Return theta~(0), given in sizes, in the units of the signals; size, shape (..., p), is that of y(0).
+
+        An output that is zero is moved by no input until it is seen to be.
+        """
+        x, u = np.tile(size, lifting.outputs), np.tile(self._inputs(q), lifting.inputs)
+        A = x[..., :, None] * model.A / np.where(x > 0, x, 1.0)[..., None, :]
+        return SignalModel(A, x[..., :, None] * model.B / u)
+
+    def parameters(self, lifting: DelayLifting, size: Array, q: int) -> Array:
+        """Return the sizes of [x; u], shape (..., n + N_v q), which the weight of the estimator counts in."""
+        x, u = np.tile(_seen(size), lifting.outputs), np.tile(self._inputs(q), lifting.inputs)
+        return np.concatenate([x, np.broadcast_to(u, (*x.shape[:-1], len(u)))], axis=-1)
+
+    def weights(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> tuple[Array, Array]:
+        """Return one over the sizes of the augmented state, shape (..., n'), and of v, shape (..., q).
+
+        ``model`` is the lifted one in use.
+        """
+        p = size.shape[-1]
+        effect = np.abs(model.B[..., :p, :]).reshape(*model.B.shape[:-2], p, lifting.inputs, q).sum(axis=-2)
+        gain = np.max(effect / _seen(size)[..., None], axis=-2)
+        v = np.where(gain > 0, gain, 1.0 / self._inputs(q))
+        x = np.tile(1.0 / _seen(size), lifting.outputs)
+        lead = np.broadcast_shapes(x.shape[:-1], v.shape[:-1])
+        past = np.tile(v, lifting.inputs - 1)
+        return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in (x, past)], axis=-1), v
+
+    def _inputs(self, q: int) -> Array:
+        return np.broadcast_to(self.inputs, q)
+
+
+def _seen(size: Array) -> Array:
+    # What was zero throughout has no size yet; any will do, since its predictions are zero as well.
+    return np.where(size > 0, size, 1.0)

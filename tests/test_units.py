@@ -1,0 +1,151 @@
+"""Running units: a plant in other units gives the same run; steps, plans and weights agree with the trace."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rhl import (
+    GrowingMemory,
+    InputError,
+    LinearPlant,
+    RunningUnits,
+    advance,
+    closed_loop,
+    default_scheme,
+    simulate,
+    start,
+    step,
+    unit_free_scheme,
+)
+from rhl.basis import Polynomials
+from rhl.lifting import DelayLifting
+
+STEPS = 60
+
+
+def plant(seed, n=4, p=2, q=2, radius=1.15):
+    rng = np.random.default_rng(seed)
+    F = rng.standard_normal((n, n))
+    F *= radius / np.abs(np.linalg.eigvals(F)).max()
+    return LinearPlant(F, rng.standard_normal((n, q)), rng.standard_normal((p, n))), rng.standard_normal(n)
+
+
+def gap(run, other, outputs, inputs=1.0):
+    """The largest difference of two runs, each signal relative to its peak, once brought to the same units."""
+    y, v = np.abs(run.y).max(axis=0), np.abs(run.v).max(axis=0)
+    return max((np.abs(other.y / outputs - run.y) / y).max(), (np.abs(other.v / inputs - run.v) / v).max())
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_same_run_in_millimetres(seed):
+    found, z0 = plant(seed)
+    outputs = np.array([1e3, 2e-4])
+    other = LinearPlant(found.F, found.G, outputs[:, None] * found.H)
+    run, changed = (simulate(unit_free_scheme(2, 2, 2), of, z0, STEPS) for of in (found, other))
+    assert gap(run, changed, outputs) < 1e-6
+    # The control: weights that count in the units of the signals give another run.
+    run, changed = (simulate(default_scheme(2, 2, 2), of, z0, 12) for of in (found, other))
+    assert gap(run, changed, outputs) > 1e-2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_same_run_in_kilonewtons(seed):
+    found, z0 = plant(seed)
+    inputs = np.array([1e-3, 50.0])
+    other = LinearPlant(found.F, found.G / inputs, found.H)
+    run = simulate(unit_free_scheme(2, 2, 2), found, z0, STEPS)
+    changed = simulate(unit_free_scheme(2, 2, 2, inputs=inputs), other, z0, STEPS)
+    assert gap(run, changed, 1.0, inputs) < 1e-6
+    assert gap(run, simulate(unit_free_scheme(2, 2, 2), other, z0, STEPS), 1.0, inputs) > 1e-2
+
+
+def test_inputs_that_the_initial_model_cannot_tell_apart_are_parted_by_rounding():
+    """Why no two columns of B(0) are equal: with equal ones the inputs stay equal, and a run is what rounding makes."""
+    gaps = []
+    for seed in range(6):
+        found, z0 = plant(seed)
+        scheme = unit_free_scheme(2, 2, 2)
+        alike = replace(scheme, initial_model=replace_B(scheme.initial_model, np.sign(scheme.initial_model.B)))
+        other = LinearPlant(found.F, found.G, 1e3 * found.H)
+        gaps.append(gap(*(simulate(alike, of, z0, STEPS) for of in (found, other)), 1e3))
+    assert max(gaps) > 1e-3
+
+
+def test_an_output_that_is_zero_at_first_has_no_unit_either():
+    found = LinearPlant([[1.1, 0.3], [0.0, 0.9]], [[0.2], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
+    z0, outputs = [0.0, 1.0], np.array([1.0, 1e4])
+    other = LinearPlant(found.F, found.G, outputs[:, None] * found.H)
+    run, changed = (simulate(unit_free_scheme(2, 1, 2), of, z0, STEPS) for of in (found, other))
+    assert run.y[0, 1] == 0.0
+    assert gap(run, changed, outputs) < 1e-6
+    assert np.abs(run.z[-1]).max() < 1e-6
+
+
+def test_a_plant_at_rest_stays_there():
+    run = simulate(unit_free_scheme(1, 1, 2), LinearPlant([[1.2]], [[1.0]], [[1.0]]), [0.0], 5)
+    assert np.all(run.v == 0.0)
+
+
+def test_steps_plans_and_weights_of_a_trace_are_those_taken():
+    found, z0 = plant(3)
+    first = unit_free_scheme(2, 2, 2)
+    for scheme in (first, replace(first, controller=replace(first.controller, model_delay=1))):
+        run, loop = simulate(scheme, found, z0, 15), closed_loop(scheme, found, z0)
+        state = start(scheme)
+        for k, taken in zip(range(15), loop, strict=False):
+            recorded = run.steps[k]
+            assert np.array_equal(taken.v_computed, run.v[k])
+            for before in (taken.state, recorded.state, state):
+                again = step(scheme, before, run.y[k])
+                assert np.array_equal(again.v_computed, run.v[k])
+                assert np.array_equal(again.data, recorded.data)
+                assert np.array_equal(again.size, recorded.size)
+            state = advance(scheme, recorded)
+            assert taken.plan.is_optimal(1e-9)
+            assert np.allclose(taken.plan.u[0], run.v[k], rtol=1e-9, atol=1e-12 * np.abs(run.v).max())
+            assert np.isclose(run.weight[k], taken.problem.weight, rtol=1e-12)
+        assert np.all(run.newton_decrement < 1e-9)
+
+
+def test_a_batch_is_its_members():
+    plants = [plant(seed, radius=0.9 + 0.1 * seed) for seed in range(4)]
+    batch = LinearPlant(*(np.stack([getattr(of, name) for of, _ in plants]) for name in "FGH"))
+    together = simulate(unit_free_scheme(2, 2, 2), batch, np.stack([z0 for _, z0 in plants]), 40)
+    for i, (of, z0) in enumerate(plants):
+        alone = simulate(unit_free_scheme(2, 2, 2), of, z0, 40)
+        assert np.abs(together.y[:, i] - alone.y).max() < 1e-6 * np.abs(alone.y).max()
+
+
+def test_the_size_of_an_input_is_what_it_moves():
+    scheme = unit_free_scheme(1, 1, 2)
+    units, lifting = scheme.units, scheme.lifting
+    model = replace_B(scheme.initial_model, [[0.5, -1.5], [0.0, 0.0]])
+    of_x, of_v = units.weights(model, lifting, np.array([4.0]), 1)
+    assert np.allclose(of_v, [(0.5 + 1.5) / 4.0])
+    assert np.allclose(of_x, [0.25, 0.25, 0.5])
+
+
+def replace_B(model, B):
+    return type(model)(model.A, B)
+
+
+@pytest.mark.parametrize("inputs", [0.0, -1.0, [1.0, 0.0], [], [[1.0]], "1", np.inf])
+def test_bad_sizes(inputs):
+    with pytest.raises(InputError, match="inputs must"):
+        RunningUnits(inputs)
+
+
+def test_bad_schemes():
+    scheme = unit_free_scheme(2, 2, 2)
+    with pytest.raises(InputError, match="units must have one size for inputs, or 2, one for each input, got 3"):
+        replace(scheme, units=RunningUnits([1.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match="units must be a RunningUnits, got 1"):
+        replace(scheme, units=1)
+    with pytest.raises(InputError, match="units need an estimator whose weight counts in them: GrowingMemory"):
+        replace(default_scheme(2, 2, 2), units=RunningUnits())
+    terms = default_scheme(1, 1, 1)
+    lifting = DelayLifting(1, 1, Polynomials(2))
+    model = type(terms.initial_model)(np.eye(2), np.ones((2, 1)))
+    with pytest.raises(InputError, match="units must be None where a lifting appends basis functions"):
+        replace(terms, lifting=lifting, initial_model=model, estimator=GrowingMemory(), units=RunningUnits())
