@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rhl.estimator import ProximalEstimator
     from rhl.horizon import V1, V2, V3, Plan, solve
     from rhl.lifting import DelayLifting
+    from rhl.live import LiveController
     from rhl.memory import GrowingMemory
     from rhl.model import PredictorMaps, SignalModel
     from rhl.plants import FunctionPlant, LinearPlant
@@ -49,6 +50,7 @@ __all__ = [
     "LambdaSearch",
     "LinearConstraints",
     "LinearPlant",
+    "LiveController",
     "LostControllabilityError",
     "NotSolvedError",
     "Plan",
@@ -77,7 +79,7 @@ __version__ = "0.1.0"
 # Where these names live. They are loaded when the first is asked for, so that `rhl --help` need not wait for numpy.
 _HOMES = (
     *("closed_loop", "constraints", "controllability", "disturbances", "errors", "estimator", "horizon", "lifting"),
-    *("memory", "model", "plants", "schedules", "scheme", "simulation", "trace", "units"),
+    *("live", "memory", "model", "plants", "schedules", "scheme", "simulation", "trace", "units"),
 )
 
 

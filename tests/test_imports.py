@@ -47,6 +47,7 @@ CORE = [
     "scheme",
     "disturbances",
     "closed_loop",
+    "live",
     "trace",
     "_engine",
     "simulation",

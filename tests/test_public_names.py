@@ -21,6 +21,7 @@ NAMES = [
     "LinearConstraints",
     "LambdaSearch",
     "LinearPlant",
+    "LiveController",
     "LostControllabilityError",
     "ControllerState",
     "NotSolvedError",

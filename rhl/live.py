@@ -1,0 +1,129 @@
+"""The scheme in the loop with hardware: measured outputs in, inputs out, saved and restored in mid-run."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, instance, real_array, shown
+from rhl._files import write_whole
+from rhl.closed_loop import ControllerState, advance, start, step
+from rhl.errors import InputError
+from rhl.model import SignalModel
+from rhl.scheme import Scheme
+
+_ARRAYS = ("y", "v", "stage", "value", "size", "data")
+
+
+class LiveController:
+    """A scheme that runs: the one object of the library that changes.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        What was chosen beforehand.
+    state : ControllerState, optional
+        Where it goes on from; where omitted, before k = 0.
+
+    Attributes
+    ----------
+    scheme : Scheme
+    state : ControllerState
+        What the next step starts from. It holds the input computed last as the one applied.
+
+    Examples
+    --------
+    >>> from rhl.scheme import unit_free_scheme
+    >>> controller, angle = LiveController(unit_free_scheme(p=1, q=1, order=1)), 1.0
+    >>> for _ in range(20):
+    ...     angle = 1.2 * angle + 0.5 * controller.step([angle])[0]
+    >>> controller.state.k, bool(abs(angle) < 1e-3)
+    (20, True)
+    """
+
+    def __init__(self, scheme: Scheme, state: ControllerState | None = None) -> None:
+        instance("scheme", scheme, Scheme)
+        if state is not None:
+            instance("state", state, ControllerState)
+        self.scheme, self.state = scheme, start(scheme) if state is None else _fits(scheme, state)
+
+    def __repr__(self) -> str:
+        return f"LiveController(k = {self.state.k}, p = {self.scheme.p}, q = {self.scheme.q})"
+
+    def step(self, y: ArrayLike, applied: ArrayLike | None = None) -> Array:
+        """Return the input v(k), shape (q,), for the measured output y(k), shape (p,).
+
+        ``applied`` is the input that the actuator let through since the step before, where it is not the one returned
+        then. Where an exception is raised, the controller is as it was, so that the step can be taken again with
+        another measurement. InputError, DivergedError and others as by ``rhl.step``.
+        """
+        state = self.state
+        if applied is not None:
+            if state.k == 0:
+                raise InputError("applied must be left out at k = 0, before any input, got one")
+            v = np.array(state.v)
+            v[0] = real_array("applied", applied, (self.scheme.q,))
+            state = replace(state, v=v)
+        done = step(self.scheme, state, _vector(y, self.scheme.p))
+        self.state = advance(self.scheme, done)
+        return done.v_computed
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the state to a file (NumPy's .npz), which appears whole or not at all; the scheme is not in it."""
+        state, buffer = self.state, io.BytesIO()
+        kept = {name: getattr(state, name) for name in _ARRAYS if getattr(state, name) is not None}
+        np.savez(buffer, k=state.k, A=state.model.A, B=state.model.B, **kept)
+        write_whole(path, buffer.getvalue())
+
+    @classmethod
+    def restore(cls, scheme: Scheme, path: str | os.PathLike[str]) -> LiveController:
+        """Go on from a file that ``save`` wrote, with the scheme that was running then.
+
+        InputError if the file cannot be read, is no such file, or was saved with a scheme of other sizes. The next
+        inputs are those of the run that was saved, to the last bit.
+        """
+        instance("scheme", scheme, Scheme)
+        try:
+            # Without pickle no file can run code.
+            with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
+                found: dict[str, Any] = dict(file)
+            model = SignalModel(found["A"], found["B"])
+            arrays = {name: real_array(name, found[name]) for name in _ARRAYS if name in found}
+            state = ControllerState(int(found["k"]), model=model, **arrays)
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+            reason = getattr(error, "strerror", None) or "no state that LiveController.save wrote"
+            raise InputError(f"{shown(path)} must be a saved state, got: {reason}") from error
+        return cls(scheme, state)
+
+
+def _vector(y: ArrayLike, p: int) -> Array:
+    found = real_array("y", y)
+    if found.shape != (p,):
+        raise InputError(f"y must have shape ({p},), one measurement of each output, got {found.shape}")
+    return found
+
+
+def _fits(scheme: Scheme, state: ControllerState) -> ControllerState:
+    begun = start(scheme)
+    for name in ("y", "v", "size", "data"):
+        found, wanted = getattr(state, name), getattr(begun, name)
+        if np.shape(found) != np.shape(wanted) or (found is None) != (wanted is None):
+            raise InputError(
+                f"state must belong to the scheme, whose {name} has shape {np.shape(wanted)}, got {np.shape(found)}; "
+                "give the scheme that was running then"
+            )
+    if (state.model.A.shape, state.model.B.shape) != (begun.model.A.shape, begun.model.B.shape):
+        raise InputError(
+            f"state must belong to the scheme, whose A has shape {begun.model.A.shape}, got {state.model.A.shape}; "
+            "give the scheme that was running then"
+        )
+    if scheme.controller.adaptive and state.k > 0 and state.stage is None:
+        raise InputError("state must belong to the scheme, whose weight is adaptive, got a state without a stage")
+    return state
