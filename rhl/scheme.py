@@ -228,7 +228,7 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     )
 
 
-def unit_free_scheme(p: int, q: int, order: int, inputs: Array | float = 1.0) -> Scheme:
+def unit_free_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> Scheme:
     r"""Return a scheme for plants of which nothing is known, not even the size of their signals.
 
     ``p``, ``q`` and ``order`` are those of :func:`default_scheme`; ``inputs`` is a size of the inputs to begin with,

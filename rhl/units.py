@@ -28,11 +28,12 @@ class RunningUnits:
     Parameters
     ----------
     inputs : float or array_like, shape (q,)
-        A size of each input to begin with, positive: a tenth of the actuator's range is a good one. The first inputs
-        are of that size, before anything is known of what they do.
+        A size of each input to begin with, positive: one that does no harm, as a tenth of the actuator's range or less.
+        The first inputs are of that size, before anything is known of what they do; the smaller, the lower the peak,
+        as long as the sensors see what they do.
     """
 
-    inputs: Array | float = 1.0
+    inputs: Array | float = 0.1
 
     def __post_init__(self) -> None:
         sizes = real_array("inputs", self.inputs)

@@ -89,8 +89,9 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
+STUDY = ["study", "study.rivals", "study.compare"]
 APP = ["app", "app.diagnosis", "app._keys", "app._sections", "app.config", "app.cli"]
-ORDER = [*CORE, *PAPER, *APP]
+ORDER = [*CORE, *STUDY, *PAPER, *APP]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
 FORBIDDEN = {
@@ -101,6 +102,7 @@ FORBIDDEN = {
     "memory": {"lifting", *PLANTS},
     "units": {"estimator", "losses", *PLANTS},
     "lifting": PLANTS,
+    **{f"paper.{name}": {"study", "study.rivals", "study.compare"} for name in ("published", "pages", "sweeps")},
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
@@ -201,6 +203,8 @@ def test_a_wrong_import_is_found(statement):
         ("paper.claims.claim", "from ..pages import tell", ["paper.pages"]),
         ("plants.base", "from .linear import LinearPlant", ["plants.linear"]),
         ("plants.linear", "from rhl.plants import Plant", ["plants"]),
+        ("paper.pages", "from rhl.study.rivals import Run", ["study.rivals"]),
+        ("study.compare", "from rhl.paper import published", ["paper.published"]),
         ("app.config", "from rhl.paper.published import curve", []),
         ("paper.pages", "from rhl.plants import LinearPlant", []),
     ],

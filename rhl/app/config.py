@@ -51,7 +51,7 @@ class Config(Section):
         default=None,
     )
     input_size = key(
-        "{}, or one for each input: the size of the first inputs where order is given; 1 if left out",
+        "{}, or one for each input: the size of the first inputs where order is given; 0.1 if left out",
         POSITIVE,
         list_of(POSITIVE),
         default=None,
@@ -75,7 +75,7 @@ class Config(Section):
         return Experiment(self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known)
 
     def _chosen_scheme(self, plant: Plant) -> Scheme:
-        given, size = self.input_size, 1.0 if self.input_size is None else self.input_size
+        given, size = self.input_size, 0.1 if self.input_size is None else self.input_size
         if isinstance(given, list) and len(given) != plant.q:
             raise InputError(
                 f"input_size must be a number or have {plant.q} entries, one for each input, got {len(given)}"

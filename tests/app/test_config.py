@@ -333,8 +333,8 @@ def test_an_order_chooses_the_scheme():
     plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
     assert np.array_equal(trace.v, simulate(unit_free_scheme(1, 1, 2), plant, [1.0, -1.0], 80).v)
     assert np.abs(trace.z[-1]).max() < 1e-6
-    other = read(ORDER.replace("order = 2", "order = 2\ninput_size = 0.1")).experiment().run()
-    assert np.array_equal(other.v, simulate(unit_free_scheme(1, 1, 2, 0.1), plant, [1.0, -1.0], 80).v)
+    other = read(ORDER.replace("order = 2", "order = 2\ninput_size = 0.5")).experiment().run()
+    assert np.array_equal(other.v, simulate(unit_free_scheme(1, 1, 2, 0.5), plant, [1.0, -1.0], 80).v)
     assert not np.array_equal(other.v, trace.v)
 
 

@@ -1,0 +1,1 @@
+"""The scheme beside its rivals, on plants that others chose."""
