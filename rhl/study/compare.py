@@ -52,9 +52,9 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
     """Run a plant under each method and judge them.
 
     The methods: the regulator that knows the plant (the least cost there is), a regulator that excites, identifies and
-    regulates (inputs of size 0.1 at first, as the scheme's), ``default_scheme``, and ``unit_free_scheme``. But for the first they are
-    told the sizes of y and v and ``order``, an upper bound on the observability index. There is no noise. Inputs while
-    exciting count as any others.
+    regulates (inputs of size 0.1 at first, as the scheme's), ``default_scheme``, and ``unit_free_scheme``. But for the
+    first they are told the sizes of y and v and ``order``, an upper bound on the observability index. There is no
+    noise. Inputs while exciting count as any others.
 
     Raises
     ------
