@@ -24,6 +24,7 @@ CORE = [
     "plants",
     "plants.examples",
     "plants.analysis",
+    "plants.benchmarks",
     "basis",
     "lifting",
     "kernels",

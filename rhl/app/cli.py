@@ -133,7 +133,19 @@ def _parser() -> argparse.ArgumentParser:
 
     new = commands.add_parser("new", allow_abbrev=False, help="write a commented configuration that runs as it is")
     new.add_argument("name", metavar="NAME", help="what the run is called; written is NAME.toml")
+    new.add_argument(
+        "--from", dest="source", metavar="PLANT", help="on a plant that others published, by its name, such as ac1"
+    )
     new.set_defaults(command=_new, plot=None, flag="NAME")
+
+    compare = commands.add_parser(
+        "compare", allow_abbrev=False, help="run benchmark plants under the scheme and its rivals"
+    )
+    compare.add_argument(
+        "plants", nargs="*", metavar="PLANT", help="which plants; all up to order ten if none is named"
+    )
+    compare.add_argument("--steps", type=int, default=400, metavar="T", help="how many steps (400)")
+    compare.set_defaults(command=_compare, output=None, plot=None)
 
     schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
     schema.add_argument("--output", type=_path, metavar="FILE", help="write it to this file instead")
@@ -271,7 +283,7 @@ def _tell(diagnosis: Diagnosis, title: str) -> None:
 def _new(options: argparse.Namespace) -> int:
     from rhl._checks import shown
     from rhl._files import write_whole
-    from rhl.app.config import template
+    from rhl.app.config import published, template
 
     name = options.name.removesuffix(".toml")
     stem = Path(name).name
@@ -279,9 +291,41 @@ def _new(options: argparse.Namespace) -> int:
         raise InputError(f"NAME must be the name of a file to be, got {shown(options.name)!r}")
     options.output = Path(f"{name}.toml")
     _check_targets(options)
-    write_whole(options.output, template(stem))
+    write_whole(options.output, template(stem) if options.source is None else published(stem, options.source))
     print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
     return OK
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from rich.table import Table
+
+    from rhl.plants.benchmarks import benchmark, names
+    from rhl.study.compare import METHODS, Score, compare
+
+    plants = [benchmark(name) for name in options.plants or names(largest=10)]
+    done: list[tuple[str, tuple[Score, ...]]] = []
+    with _progress("comparing", len(plants)) as show:
+        try:
+            for plant in plants:
+                done.append((plant.name, compare(plant.sampled(), plant.z0, plant.order(), options.steps)))
+                show(len(done))
+        except KeyboardInterrupt:
+            print(f"rhl: interrupted after {len(done)} of {len(plants)} plants", file=sys.stderr)
+    table = Table(title=f"{len(done)} plants, {options.steps} steps, no noise", title_justify="left")
+    for heading in ("plant", "method", "at rest", "peak", "cost", "largest input", "1 % at k"):
+        table.add_column(heading, no_wrap=True, justify="left" if heading in ("plant", "method") else "right")
+    for name, scores in done:
+        for score in scores:
+            numbers = (f"{number:.3g}" for number in (score.peak, score.cost, score.largest_input))
+            settled = "" if score.settled_at is None else str(score.settled_at)
+            table.add_row(name, score.method, "yes" if score.at_rest else "no", *numbers, settled)
+            name = ""
+    _print(table, least_width=110)
+    for i, method in enumerate(METHODS):
+        rest = sum(scores[i].at_rest for _, scores in done)
+        below = sum(scores[i].at_rest and scores[i].peak < 100 for _, scores in done)
+        print(f"{method}: {rest} of {len(done)} at rest, {below} of them with a peak below 100")
+    return OK if len(done) == len(plants) else INTERRUPTED
 
 
 def _schema(options: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ import textwrap
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,7 +29,10 @@ from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.published import Experiment
-from rhl.plants import Plant
+from rhl.plants import LinearPlant, Plant
+from rhl.plants.analysis import linearise, observability_index
+from rhl.plants.benchmarks import benchmark, names
+from rhl.plants.examples import EXAMPLES, example
 from rhl.scheme import Scheme, unit_free_scheme
 
 # The sections that stand in a file without the key order, and those that may not stand beside it.
@@ -272,6 +276,41 @@ def template(name: str) -> str:
             what = " or ".join(kind.tag() for kind in PLANTS) if name == "kind" else one["description"]
             lines += _entry(name, what, given.get(name), one.get("default"))
     return "\n".join(lines) + "\n"
+
+
+def published(name: str, source: str) -> str:
+    """Return a TOML file for a run of that name on a plant that others published: a benchmark or an example.
+
+    The scheme is chosen from the plant's observability index. InputError, with the nearest names, where there is no
+    plant of the name ``source``.
+    """
+    if source in EXAMPLES:
+        found = example(source)
+        plant = found.plant if isinstance(found.plant, LinearPlant) else linearise(found.plant)
+        section: dict[str, object] = {"kind": "ready", "name": source}
+        order, what = observability_index(plant.F, plant.H), found.what
+    elif source in names():
+        benched = benchmark(source)
+        plant, order, what = benched.sampled(), benched.order(), f"COMPleib's {source}, sampled every 0.1 s"
+        matrices = {symbol: getattr(plant, symbol).tolist() for symbol in "FGH"}
+        section = {"kind": "linear", **matrices, "z0": benched.z0.tolist()}
+    else:
+        known = (*EXAMPLES, *names())
+        near = get_close_matches(source, known, n=3) or known
+        raise InputError(
+            f"--from must name a plant that comes with rhl, one of {', '.join(near)}, got {describe(source)}"
+        )
+    head = {"name": name, "steps": 400, "order": order}
+    return "\n".join(
+        [
+            f"# {what}: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg",
+            *(f"{name} = {_toml(value)}" for name, value in head.items()),
+            "",
+            "[plant]",
+            *(f"{name} = {_toml(value)}" for name, value in section.items()),
+            "",
+        ]
+    )
 
 
 def _entry(name: str, what: str, value: object, default: object = None) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +18,9 @@ from rhl.study.rivals import Run, excite_identify_regulate, known_plant, weights
 _REST, _LAST = 0.05, 20
 # Settled are those that stay below this share from some step on.
 _SETTLED = 0.01
+
+
+METHODS = ("the plant known", "excite, identify, regulate", "default_scheme", "unit_free_scheme")
 
 
 @dataclass(frozen=True)
@@ -51,9 +53,9 @@ class Score:
 def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, seed: int = 0) -> tuple[Score, ...]:
     """Run a plant under each method and judge them.
 
-    The methods: the regulator that knows the plant (the least cost there is), a regulator that excites, identifies and
-    regulates (inputs of size 0.1 at first, as the scheme's), ``default_scheme``, and ``unit_free_scheme``. But for the
-    first they are told the sizes of y and v and ``order``, an upper bound on the observability index. There is no
+    The ``METHODS``: the regulator that knows the plant (the least cost there is), a regulator that excites, identifies
+    and regulates (inputs of size 0.1 at first, as the scheme's), ``default_scheme``, and ``unit_free_scheme``. But for
+    the first they are told the sizes of y and v and ``order``, an upper bound on the observability index. There is no
     noise. Inputs while exciting count as any others.
 
     Raises
@@ -73,15 +75,14 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
         raise InputError(f"plant and z0 must be of one run, got a batch of shape {plant.batch(z)}; take one member")
     integer("steps", steps, _LAST)
     W, R = weights(plant, plant.H @ z, m)
-    methods: dict[str, Callable[[], Run]] = {
-        "the plant known": lambda: known_plant(plant, z, steps, W, R),
-        "excite, identify, regulate": lambda: excite_identify_regulate(plant, z, steps, m, W, R, size=0.1, seed=seed),
-        "default_scheme": lambda: _simulated(default_scheme(plant.p, plant.q, m), plant, z, steps),
-        "unit_free_scheme": lambda: _simulated(unit_free_scheme(plant.p, plant.q, m), plant, z, steps),
-    }
-    runs = {name: method() for name, method in methods.items()}
-    least = _cost(runs["the plant known"], W, R)
-    return tuple(_judged(name, run, _cost(run, W, R) / least) for name, run in runs.items())
+    runs = (
+        known_plant(plant, z, steps, W, R),
+        excite_identify_regulate(plant, z, steps, m, W, R, size=0.1, seed=seed),
+        _simulated(default_scheme(plant.p, plant.q, m), plant, z, steps),
+        _simulated(unit_free_scheme(plant.p, plant.q, m), plant, z, steps),
+    )
+    least = _cost(runs[0], W, R)
+    return tuple(_judged(name, run, _cost(run, W, R) / least) for name, run in zip(METHODS, runs, strict=True))
 
 
 def _simulated(scheme: Scheme, plant: LinearPlant, z: Array, steps: int) -> Run:
