@@ -1,13 +1,19 @@
-"""Files that appear whole or not at all, and the head of a table of a run."""
+"""Files that appear whole or not at all, and the text of a table of a run."""
 
 from __future__ import annotations
 
 import os
+import re
+import stat
 import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from rhl._checks import shown
 from rhl.errors import InputError
+
+# What a process has open, by a path: it may be a file, and replacing that would leave what is open without a name.
+_OPEN = re.compile(r"/(dev|dev/fd|proc/[^/]+/fd)/[^/]+")
 
 
 def header(p: int, q: int, n: int) -> list[str]:
@@ -22,13 +28,47 @@ def header(p: int, q: int, n: int) -> list[str]:
     return ["k", *(f"{name}{i + 1}" for name, count in groups for i in range(count)), "weight", "lambda"]
 
 
-def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file so that no reader ever sees half of it, text as UTF-8; InputError if it cannot be written."""
+def table_text(columns: Mapping[str, Iterable[float]]) -> str:
+    r"""Return columns of numbers as CSV with 17 significant digits; k is an integer.
+
+    Examples
+    --------
+    >>> table_text({"k": [0, 1], "y1": [0.1, 2.0]})
+    'k,y1\n0,0.10000000000000001\n1,2\n'
+    """
+    rows = (
+        ",".join(str(entry) if name == "k" else format(entry, ".17g") for name, entry in zip(columns, row, strict=True))
+        for row in zip(*columns.values(), strict=True)
+    )
+    return "\n".join([",".join(columns), *rows]) + "\n"
+
+
+def is_stream(path: Path) -> bool:
+    """Whether what a path names is written into, not replaced: a device, a pipe, what a process has open.
+
+    OSError if it cannot be found out, as of links in a circle.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return not stat.S_ISDIR(mode) and (bool(_OPEN.fullmatch(os.path.abspath(path))) or not stat.S_ISREG(mode))
+
+
+def write_whole(path: str | os.PathLike[str], content: str | bytes, *, new: bool = False) -> None:
+    """Write a file so that no reader ever sees half of it, text as UTF-8; InputError if it cannot be written.
+
+    ``new``: what has come to stand there is not written over either; InputError.
+    """
     data = content.encode() if isinstance(content, str) else content
     try:
+        if is_stream(Path(path)):
+            with Path(path).open("ab") as file:
+                file.write(data)
+            return
         target = Path(path).resolve()  # through a link to what it names
-        if target.exists() and not (target.is_file() and os.access(target.parent, os.W_OK)):
-            # A device, a pipe, or a file in a folder that takes no new ones: there is nothing to rename over it.
+        if target.exists() and not new and not os.access(target.parent, os.W_OK):
+            # A file in a folder that takes no new ones: there is nothing to rename over it.
             with target.open("wb") as file:
                 file.write(data)
             return
@@ -38,13 +78,30 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
             with os.fdopen(descriptor, "wb") as file:
                 file.write(data)
             os.chmod(name, mode)
-            os.replace(name, target)
+            _put_new(name, target) if new else os.replace(name, target)
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
+    except FileExistsError:
+        raise InputError(
+            f"{shown(path)} must be a new file, got one that another program has made meanwhile; choose another name"
+        ) from None
     except (OSError, ValueError, TypeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{shown(path)} must be a writable file, got: {reason}") from error
+
+
+def _put_new(name: str, target: Path) -> None:
+    """Give a file that is whole another name; FileExistsError if there is one of that name."""
+    try:
+        os.link(name, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without such links: an empty file, for the moment until it is replaced
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+        os.replace(name, target)
+    else:
+        os.unlink(name)
 
 
 def _umask() -> int:

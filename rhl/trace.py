@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from rhl._checks import Array, describe, instance, integer
-from rhl._files import header, write_whole
+from rhl._files import header, table_text, write_whole
 from rhl.closed_loop import ControllerState, Step, replay
 from rhl.controllability import controllability_margin
 from rhl.errors import InputError
@@ -346,11 +346,4 @@ class Trace:
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
-        columns = self.columns()
-        rows = (
-            ",".join(
-                str(entry) if name == "k" else format(entry, ".17g") for name, entry in zip(columns, row, strict=True)
-            )
-            for row in zip(*columns.values(), strict=True)
-        )
-        write_whole(path, "\n".join([",".join(columns), *rows]) + "\n")
+        write_whole(path, table_text(self.columns()))

@@ -161,7 +161,12 @@ API = [
     ("h of 1e308", lambda: flexible_shaft(1.7e308), r"^h must be a sampling time .*got 1.7e\+308", "shorten it"),
     # structure
     ("linearise a number", lambda: linearise(3), r"^plant must be a plant .*got 3 without n", None),
-    ("no equilibrium", lambda: linearise(plant(lambda z, v: z + 1)), r"^z and v must be an equilibrium.*got", "solve"),
+    (
+        "no equilibrium",
+        lambda: linearise(plant(lambda z, v: z + 1)),
+        r"^z = 0 with v = 0 must be an equilibrium.*got",
+        "solve",
+    ),
     ("rough by a function", lambda: rough_model(plant(), 1, 1), r"^plant must be a LinearPlant, got Func", "pass rhl"),
     (
         "rough too short",

@@ -91,7 +91,7 @@ PAPER = [
     "paper.sweeps",
 ]
 STUDY = ["study", "study.rivals", "study.compare"]
-APP = ["app", "app.diagnosis", "app._keys", "app._sections", "app.config", "app.cli"]
+APP = ["app", "app.diagnosis", "app._keys", "app._sections", "app.config", "app._streams", "app.cli", "__main__"]
 ORDER = [*CORE, *STUDY, *PAPER, *APP]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}

@@ -4,26 +4,36 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import signal
 import sys
-import threading
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 # The rest is imported by the commands that need it, so that help and refusals do not wait for numpy.
 from rhl import __version__
+from rhl.app._streams import (
+    STDOUT,
+    check_targets,
+    complain,
+    deliver,
+    drop,
+    file_name,
+    interruptible,
+    named,
+    open_streams,
+    print_table,
+    target_name,
+    words_of,
+)
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
 
 if TYPE_CHECKING:
     from types import ModuleType
 
     from matplotlib.figure import Figure
-    from rich.table import Table
 
     from rhl.app.diagnosis import Diagnosis
     from rhl.paper.claims.claim import Judgement
@@ -50,58 +60,48 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is missed. 2: bad input.
     3: the run stopped before its end; its rows up to there are kept. 130: interrupted; likewise.
     """
+    open_streams()
     try:
-        with warnings.catch_warnings(), _terminable():
+        with warnings.catch_warnings(), interruptible():
             warnings.simplefilter("default", AssumptionWarning)
             warnings.showwarning = _say
-            options = _parser().parse_args(arguments)
-            status = int(options.command(options))
+            try:
+                options = _parser().parse_args(arguments)
+            except SystemExit as done:  # help was asked for, and is printed
+                status = int(done.code or OK)
+            else:
+                status = int(options.command(options))
         sys.stdout.flush()
         return status
     except InputError as error:
-        print(f"rhl: {error}", file=sys.stderr)
+        complain(str(error))
         return BAD_INPUT
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
         if package not in _EXTRAS:
             raise
         install = f"pip install 'rhl[{_EXTRAS[package]}]'"
-        print(f"rhl: this command needs the package {package}, got none installed; {install}", file=sys.stderr)
+        complain(f"this command needs the package {package}, got none installed; {install}")
         return BAD_INPUT
     except MemoryError as error:
         from rhl._checks import reason
 
-        print(f"rhl: {_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon", file=sys.stderr)
+        complain(f"{_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon")
         return BAD_INPUT
     except KeyboardInterrupt:
-        print("rhl: interrupted", file=sys.stderr)
+        complain("interrupted")
         return INTERRUPTED
-    except BrokenPipeError:
-        # Whoever read the table has gone; Python would complain once more when it closes the stream.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever read the table has gone
+        drop(sys.stdout)
         return BROKEN_PIPE
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        print(f"rhl: standard output must take the table, got: {error.strerror}", file=sys.stderr)
+        drop(sys.stdout)
+        complain(f"standard output must take the table, got: {error.strerror}")
         return BAD_INPUT
 
 
 def _say(message: Warning | str, *_: Any, **__: Any) -> None:
-    text = " ".join(str(message).split())
-    print(f"rhl: warning: {text if text.isprintable() else ascii(text)}", file=sys.stderr)
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let a request to terminate interrupt, as Ctrl-C does, so that rows are kept."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    complain(f"warning: {' '.join(str(message).split())}")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -111,23 +111,30 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"rhl {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
+    rows = "write the run's rows to this file; - prints them"
     reproduce = commands.add_parser(
         "reproduce", allow_abbrev=False, help="compare a simulation of the paper with its published data"
     )
     reproduce.add_argument("experiment", choices=("linear", "robot"))
     reproduce.add_argument("--printed", action="store_true", help="with the settings as the paper's text prints them")
-    reproduce.add_argument("--output", type=_path, metavar="CSV", help="write the run's rows to this file")
+    reproduce.add_argument("--output", type=target_name, metavar="CSV", help=rows)
     reproduce.set_defaults(command=_reproduce)
 
     run = commands.add_parser("run", allow_abbrev=False, help="run the scheme on a plant of your own")
-    run.add_argument("config", type=_path, metavar="CONFIG.toml", help="what to run; the book documents every key")
-    run.add_argument("--output", type=_path, metavar="CSV", required=True, help="write the run's rows to this file")
+    run.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what to run; the book documents every key")
+    run.add_argument(
+        "--output",
+        type=target_name,
+        metavar="CSV",
+        required=True,
+        help=rows,
+    )
     run.set_defaults(command=_run)
 
     check = commands.add_parser(
         "check", allow_abbrev=False, help="say which assumptions a plant and its settings meet, in words"
     )
-    check.add_argument("config", type=_path, metavar="CONFIG.toml", help="what would run")
+    check.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what would run")
     check.add_argument("--run", action="store_true", help="run it too, and say how that went")
     check.set_defaults(command=_check, output=None, plot=None)
 
@@ -148,13 +155,19 @@ def _parser() -> argparse.ArgumentParser:
     compare.set_defaults(command=_compare, output=None, plot=None)
 
     schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
-    schema.add_argument("--output", type=_path, metavar="FILE", help="write it to this file instead")
+    schema.add_argument("--output", type=target_name, metavar="FILE", help="write it to this file instead; - prints it")
     schema.set_defaults(command=_schema, plot=None)
 
     verify = commands.add_parser("verify", allow_abbrev=False, help="check every claim of the paper, or some")
     verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
     verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
-    verify.add_argument("--json", type=_path, metavar="FILE", dest="output", help="write the judgements to this file")
+    verify.add_argument(
+        "--json",
+        type=target_name,
+        metavar="FILE",
+        dest="output",
+        help="write the judgements to this file; - prints it",
+    )
     verify.add_argument("--seed", type=int, default=0, help="where random cases come from (default: 0)")
     amount = verify.add_mutually_exclusive_group()
     amount.add_argument(
@@ -165,17 +178,11 @@ def _parser() -> argparse.ArgumentParser:
 
     for command in (reproduce, run):
         command.add_argument(
-            "--plot", type=_path, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
+            "--plot", type=file_name, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
         )
     for command in (reproduce, run, new, schema, verify):
         command.add_argument("--force", action="store_true", help="write over files that exist")
     return parser
-
-
-def _path(text: str) -> Path:
-    if not text:
-        raise argparse.ArgumentTypeError("a file's name must have a character at least, got none")
-    return Path(text)
 
 
 def _reproduce(options: argparse.Namespace) -> int:
@@ -196,28 +203,31 @@ def _reproduce(options: argparse.Namespace) -> int:
         tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
         table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
     _write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
-    _print(table, least_width=110)
+    print_table(table, 110, words_of(options))
     return MISSED if any(row.verdict == "missed" for row in rows) else OK
 
 
 def _run(options: argparse.Namespace) -> int:
-    from rhl._files import header, write_whole
+    from rhl._files import header
     from rhl.app.config import load
 
     experiment = load(options.config).experiment()
     _check_targets(options)
     trace, status, why = _watched(experiment)
+    rows, output = len(trace or ()), options.output
+    kept = f"the {rows} rows before it are in {named(output)}"
     if trace:
         _write(options, trace, lambda: _figures().run(trace, experiment.name))
+    elif output is not STDOUT and output.is_file():
+        kept = f"no row came before it, and {named(output)} stays as it was"  # with --force
     else:
         plant = experiment.plant
-        write_whole(options.output, ",".join(header(plant.p, plant.q, plant.n)) + "\n")
-    rows = len(trace or ())
+        deliver(output, ",".join(header(plant.p, plant.q, plant.n)) + "\n", options.force)
     if why:
-        print(f"rhl: {why}; the {rows} rows before it are in {options.output}", file=sys.stderr)
+        complain(f"{why}; {kept}")
     elif trace:
         end = f"largest |z| {abs(trace.z[-1]).max():.3g}, largest |v| {abs(trace.v[-1]).max():.3g}"
-        print(f"{rows} rows in {options.output}; at the end {end}")
+        print(f"{rows} rows in {named(output)}; at the end {end}", file=words_of(options))
     return status
 
 
@@ -262,7 +272,7 @@ def _check(options: argparse.Namespace) -> int:
         _tell(after, f"{experiment.name}: after {len(trace)} steps")
         sound = sound and after.sound
     if why:
-        print(f"rhl: {why}", file=sys.stderr)
+        complain(why)
         return status
     return OK if sound else MISSED
 
@@ -277,12 +287,11 @@ def _tell(diagnosis: Diagnosis, title: str) -> None:
     table.add_column("found")
     for finding in diagnosis.findings:
         table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
-    _print(table, least_width=140)
+    print_table(table, 140, sys.stdout)
 
 
 def _new(options: argparse.Namespace) -> int:
     from rhl._checks import shown
-    from rhl._files import write_whole
     from rhl.app.config import published, template
 
     name = options.name.removesuffix(".toml")
@@ -291,7 +300,8 @@ def _new(options: argparse.Namespace) -> int:
         raise InputError(f"NAME must be the name of a file to be, got {shown(options.name)!r}")
     options.output = Path(f"{name}.toml")
     _check_targets(options)
-    write_whole(options.output, template(stem) if options.source is None else published(stem, options.source))
+    text = template(stem) if options.source is None else published(stem, options.source)
+    deliver(options.output, text, options.force)
     print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
     return OK
 
@@ -329,22 +339,17 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _schema(options: argparse.Namespace) -> int:
-    from rhl._files import write_whole
     from rhl.app.config import schema
 
-    text = json.dumps(schema(), indent=1)
-    if options.output is None:
-        print(text)
-        return OK
+    options.output = options.output or STDOUT
     _check_targets(options)
-    write_whole(options.output, text + "\n")
+    deliver(options.output, json.dumps(schema(), indent=1) + "\n", options.force)
     return OK
 
 
 def _verify(options: argparse.Namespace) -> int:
     from rich.table import Table
 
-    from rhl._files import write_whole
     from rhl.paper.claims import ledger
     from rhl.paper.claims.claim import Effort
 
@@ -364,7 +369,7 @@ def _verify(options: argparse.Namespace) -> int:
         try:
             ledger.run(claims, effort, tick)
         except KeyboardInterrupt:
-            print(f"rhl: interrupted after {len(done)} of {len(claims)} claims", file=sys.stderr)
+            complain(f"interrupted after {len(done)} of {len(claims)} claims")
     table = Table(title=f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases", title_justify="left")
     table.add_column("claim", no_wrap=True)
     table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
@@ -378,12 +383,12 @@ def _verify(options: argparse.Namespace) -> int:
         control = {True: "fails, as it must", False: "PASSES", None: ""}[row.tripped]
         verdict = row.verdict if row.verdict == row.claim.recorded else f"{row.verdict}, NOT {row.claim.recorded}"
         table.add_row(row.claim.id, row.claim.statement, row.claim.method, *numbers, verdict, control)
-    _print(table, least_width=220)
-    tally = Counter(row.verdict for row in done)
-    print(", ".join(f"{count} {verdict}" for verdict, count in tally.items()), end="")
-    print(f"; {sum(row.seconds for row in done):.0f} s")
+    words = words_of(options)
+    print_table(table, 220, words)
+    tally = ", ".join(f"{count} {verdict}" for verdict, count in Counter(row.verdict for row in done).items())
+    print(f"{tally}; {sum(row.seconds for row in done):.0f} s", file=words)
     if options.output:
-        write_whole(options.output, json.dumps(ledger.as_json(done, effort), indent=1) + "\n")
+        deliver(options.output, json.dumps(ledger.as_json(done, effort), indent=1) + "\n", options.force)
     if len(done) < len(claims):
         return INTERRUPTED
     return OK if all(row.as_recorded for row in done) else MISSED
@@ -398,21 +403,14 @@ def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
+    bar = Progress(console=Console(stderr=True), transient=True)
+    task = bar.add_task(what, total=total)
+    bar.start()
+    try:
         yield lambda done: bar.update(task, completed=done)
-
-
-def _print(table: Table, least_width: int) -> None:
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    # Off a terminal rich assumes 80 columns, which would fold the table.
-    if not console.is_terminal:
-        console.width = max(console.width, least_width)
-    with console.capture() as capture:
-        console.print(table)
-    print(capture.get(), end="")
+    finally:
+        with suppress(OSError):  # a terminal that is gone takes the bar along, and must not take the rows
+            bar.stop()
 
 
 def _figures() -> ModuleType:
@@ -428,53 +426,29 @@ def _paper_figures() -> ModuleType:
 
 
 def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
-    """Write the rows and the figure; if the figure cannot be written, the rows do not stay behind either."""
-    from rhl._files import write_whole
+    """Write the rows and the figure; if one of them cannot be written, the other does not stay behind either."""
+    from rhl._files import table_text
 
-    figure = _figures().render(draw, options.plot) if options.plot else b""
-    fresh = options.output and not options.output.exists()
-    if options.output:
-        trace.to_csv(options.output)
+    results: list[tuple[Path, str | bytes]] = []
     if options.plot:
+        results.append((options.plot, _figures().render(draw, options.plot)))
+    if options.output:
+        # Rows that are printed cannot be taken back, so they come last.
+        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table_text(trace.columns())))
+    made: list[Path] = []
+    for path, content in results:
+        fresh = path is not STDOUT and not path.exists()
         try:
-            write_whole(options.plot, figure)
+            deliver(path, content, options.force)
         except InputError:
-            if fresh:
-                options.output.unlink(missing_ok=True)
+            for file in made:
+                file.unlink(missing_ok=True)
             raise
+        if fresh:
+            made.append(path.resolve())
 
 
 def _check_targets(options: argparse.Namespace) -> None:
-    """Refuse files that cannot be written, or are named twice, before any work is done."""
-    from rhl._checks import shown
-
-    taken = {}
-    if getattr(options, "config", None):
-        taken[options.config.resolve()] = "the configuration"
-    for flag, target in ((getattr(options, "flag", "--output"), options.output), ("--plot", options.plot)):
-        if target is None:
-            continue
-        name = shown(target)
-        try:
-            resolved = target.resolve()
-            if not resolved.parent.is_dir():
-                raise InputError(f"{flag} must name a file in a folder that exists, got {name}")
-            if resolved.is_dir():
-                raise InputError(f"{flag} must name a file, got the folder {name}")
-            if not os.access(resolved if resolved.exists() else resolved.parent, os.W_OK):
-                raise InputError(f"{flag} must name a file that can be written, got {name}: Permission denied")
-        except (OSError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"{flag} must name a file that can be written, got {name}: {why}") from None
-        if resolved in taken:
-            raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
-        if resolved.is_file() and not options.force:
-            raise InputError(f"{flag} must name a new file, got {name}, which exists; add --force to write over it")
-        if resolved.is_file() or not resolved.exists():
-            taken[resolved] = f"also that of {flag}"
-    if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):
-        raise InputError(f"--plot must end in .svg, .pdf or .png, got {shown(options.plot)}")
+    check_targets(options)
     if options.plot:
         _figures()  # where matplotlib is missing, that is said before the run

@@ -111,7 +111,8 @@ def diagnose_run(trace: Trace) -> Diagnosis:
     instance("trace", trace, Trace)
     if trace.y.ndim != 2:
         raise InputError(f"the trace must be of one run, got a batch of shape {trace.y.shape[1:-1]}; take one member")
-    return Diagnosis((*_of_signals(trace), *_of_models(trace)))
+    models = tuple(_of_models(trace))
+    return Diagnosis((*_of_signals(trace, any(finding.verdict == "suspect" for finding in models)), *models))
 
 
 def _of_plant(plant: Plant, scheme: Scheme) -> Iterator[Finding]:
@@ -121,7 +122,7 @@ def _of_plant(plant: Plant, scheme: Scheme) -> Iterator[Finding]:
         try:
             linear = linearise(plant)
         except InputError as error:
-            yield Finding("Plant", "violated", f"zero must be an equilibrium that can be linearised: {error}")
+            yield Finding("Plant", "violated", f"it cannot be linearised at zero: {error}")
             return
         name = f"of order {plant.n}, not linear as given: what follows is about its linearisation at zero"
     yield Finding(
@@ -274,7 +275,7 @@ def _size(rows: Array) -> Array:
     return np.max(np.abs(rows), axis=-1)
 
 
-def _of_signals(trace: Trace) -> Iterator[Finding]:
+def _of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     hidden = trace.plant_state is None
     z, v = _size(trace.y if hidden else trace.z), _size(trace.v)
     name, end = "y" if hidden else "z", max(1, len(trace) // _END)
@@ -285,7 +286,7 @@ def _of_signals(trace: Trace) -> Iterator[Finding]:
     converged = last <= _GONE * first
     verdict: Verdict = "met" if converged else "suspect"
     hint = "it grew: try a longer horizon, or begin from a rough model" if last > first else "not gone yet: run on"
-    reason = "" if converged else f"; {hint}, and read what is suspect below"
+    reason = "" if converged else f"; {hint}" + (", and read what is suspect below" if suspect_below else "")
     yield Finding("Theorem 3, state and input go to zero", verdict, ends + reason)
     at = int(np.argmax(z))
     yield Finding(

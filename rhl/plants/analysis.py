@@ -150,10 +150,11 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
     rest = real_array("the plant's step from the equilibrium", plant.step(at_z, at_v))
     if rest.shape[-1] == plant.n:
         moved = float(np.max(np.abs(rest - at_z)))
+        name = "z = 0 with v = 0" if z is None and v is None else "z with v"
         if moved > _REST_RTOL * (1 + float(np.max(np.abs(at_z)))):
             raise InputError(
-                f"z and v must be an equilibrium, step(z, v) = z, got a step that moves z by {moved:.3g}; "
-                "solve step(z, v) = z for it first"
+                f"{name} must be an equilibrium, where a step leaves z as it is, got a step that moves z by "
+                f"{moved:.3g}; solve step(z, v) = z for one first"
             )
     if isinstance(plant, LinearPlant):
         return plant

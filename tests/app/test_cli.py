@@ -190,10 +190,10 @@ def test_a_device_stays_a_device(config, capsys):
 def test_rows_do_not_stay_where_the_figure_fails(config, tmp_path, monkeypatch, capsys):
     real = _files.write_whole
 
-    def full(path, content):
+    def full(path, content, new):
         if str(path).endswith(".svg"):
             raise InputError(f"{path} must be a writable file, got: No space left on device")
-        real(path, content)
+        real(path, content, new=new)
 
     monkeypatch.setattr(_files, "write_whole", full)
     table = tmp_path / "t.csv"

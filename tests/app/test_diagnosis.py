@@ -88,7 +88,8 @@ def test_a_sound_plant_and_scheme():
         (
             FunctionPlant(lambda z, v: [z[0] + 1.0 + v[0], 0.0], lambda z: z[:1], n=2, q=1),
             "Plant",
-            "zero must be an equilibrium",
+            "it cannot be linearised at zero: z = 0 with v = 0 must be an equilibrium, where a step leaves z as it is, "
+            "got a step that moves z by 1; solve step(z, v) = z for one first",
         ),
     ],
     ids=["unstabilizable", "undetectable", "too-short", "no-equilibrium"],
@@ -156,6 +157,18 @@ def test_a_run_that_went_well():
 
 def test_a_run_that_needs_longer():
     assert unmet(diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], 12)))[0] == "Theorem 3, state and input go to zero"
+
+
+def test_what_is_suspect_below_is_pointed_at_where_there_is_any():
+    goes = "Theorem 3, state and input go to zero"
+    seen = set()
+    for steps in (6, 12):
+        found = diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], steps))
+        below = unmet(found)[1:]
+        assert unmet(found)[0] == goes
+        assert ("read what is suspect below" in says(found, goes)) == bool(below)
+        seen.add(bool(below))
+    assert seen == {True, False}
 
 
 def test_a_run_under_noise_has_no_linear_model():

@@ -1,0 +1,178 @@
+"""Where a command's words and results go: its streams, and the files and the standard output named in the call."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
+
+# Nothing here needs numpy before a file is looked at, so that help and refusals do not wait for it.
+from rhl.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+# What stands for standard output where a file is asked for; compared by identity, since ./- is a file of that name.
+STDOUT = Path("-")
+# Opened anew, these would begin at the start of what a shell redirected standard output to, beside what is printed.
+_NAMES_OF_STDOUT = ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
+
+
+def open_streams() -> None:
+    """Make standard output and error take every text: one that was closed takes it to nowhere.
+
+    What an encoding lacks is shown escaped, as standard error does from the start.
+    """
+    for name in ("stdout", "stderr"):
+        stream = cast(TextIO | None, getattr(sys, name))
+        if stream is None:
+            # Its number would go to the next file that is opened; so this is one.
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def drop(stream: TextIO) -> None:
+    """Let what is left of a stream go nowhere; Python would complain once more when it closes the stream."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def complain(text: str) -> None:
+    """Say something on standard error, on one line."""
+    try:
+        print(f"rhl: {printable(text)}", file=sys.stderr, flush=True)
+    except OSError:  # whoever was to be told has gone, with the terminal perhaps; the exit status says it too
+        drop(sys.stderr)
+
+
+def printable(text: str) -> str:
+    """Return a text with control characters escaped, so that it stays on its line and moves no cursor."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let a request to terminate, and a terminal that is closed, interrupt as Ctrl-C does, so that rows are kept.
+
+    A signal that is ignored stays so (``nohup``).
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def hung_up(number: int, frame: Any) -> NoReturn:
+        # The shell and the kernel both send one when a terminal is closed; the second must not hit the writing.
+        signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    handlers: dict[str, Any] = {"SIGTERM": signal.default_int_handler, "SIGHUP": hung_up}
+    known = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
+    before = {number: signal.getsignal(number) for number in known}
+    heard = [number for number in known if before[number] != signal.SIG_IGN]
+    for number in heard:
+        signal.signal(number, known[number])
+    try:
+        yield
+    finally:
+        for number in heard:
+            signal.signal(number, before[number])
+
+
+def print_table(table: Table, least_width: int, file: TextIO) -> None:
+    """Print a table; off a terminal as wide as COLUMNS says, or wide enough where it says nothing."""
+    from rich.console import Console
+
+    console = Console(highlight=False, file=file)
+    # Off a terminal rich assumes 80 columns, which would fold the table.
+    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdecimal():
+        console.width = max(console.width, least_width)
+    with console.capture() as capture:
+        console.print(table)
+    print(capture.get(), end="", file=file)
+
+
+def target_name(text: str) -> Path:
+    """Read what is to be written from the command line: a file's name, or - for standard output."""
+    return STDOUT if text in _NAMES_OF_STDOUT else file_name(text)
+
+
+def file_name(text: str) -> Path:
+    """Read a file's name from the command line."""
+    if not text:
+        raise argparse.ArgumentTypeError("a file's name must have a character at least, got none")
+    return Path(text)
+
+
+def words_of(options: argparse.Namespace) -> TextIO:
+    """Return where a command's words go: to standard error where standard output takes its results."""
+    return sys.stderr if options.output is STDOUT else sys.stdout
+
+
+def named(path: Path) -> str:
+    """Return what a message calls a target."""
+    from rhl._checks import shown
+
+    return "standard output" if path is STDOUT else shown(path)
+
+
+def deliver(path: Path, content: str | bytes, force: bool) -> None:
+    """Write a target whole; one that exists by now only by force."""
+    from rhl._files import write_whole
+
+    if path is STDOUT:
+        assert isinstance(content, str)
+        sys.stdout.write(content)
+        sys.stdout.flush()
+    else:
+        write_whole(path, content, new=not force)
+
+
+def check_targets(options: argparse.Namespace) -> None:
+    """Refuse targets that cannot be written, or are named twice, before any work is done."""
+    if options.plot and options.plot.suffix not in (".svg", ".pdf", ".png"):
+        raise InputError(f"--plot must end in .svg, .pdf or .png, got {named(options.plot)}")
+    taken: dict[Path, str] = {}
+    if getattr(options, "config", None):
+        taken[options.config.resolve()] = "the configuration"
+    for flag, path in ((getattr(options, "flag", "--output"), options.output), ("--plot", options.plot)):
+        if path is STDOUT:
+            # Where it was closed, `open_streams` put this in its place.
+            if getattr(sys.stdout, "name", None) == os.devnull:
+                raise InputError(f"{flag} must name what can be written, got standard output, which is closed")
+        elif path is not None:
+            _check(flag, path, options.force, taken)
+
+
+def _check(flag: str, path: Path, force: bool, taken: dict[Path, str]) -> None:
+    from rhl._files import is_stream
+
+    name = named(path)
+    try:
+        if is_stream(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(13, os.strerror(13))
+            return
+        resolved = path.resolve()
+        if not resolved.parent.is_dir():
+            raise InputError(f"{flag} must name a file in a folder that exists, got {name}")
+        if resolved.is_dir():
+            raise InputError(f"{flag} must name a file, got the folder {name}")
+        if not os.access(resolved if resolved.exists() else resolved.parent, os.W_OK):
+            raise PermissionError(13, os.strerror(13))
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{flag} must name a file that can be written, got {name}: {why}") from None
+    if resolved in taken:
+        raise InputError(f"{flag} must name a file of its own, got {name}, which is {taken[resolved]}")
+    if resolved.exists() and not force:
+        raise InputError(f"{flag} must name a new file, got {name}, which exists; add --force to write over it")
+    taken[resolved] = f"also that of {flag}"
