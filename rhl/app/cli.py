@@ -330,7 +330,7 @@ def _compare(options: argparse.Namespace) -> int:
             settled = "" if score.settled_at is None else str(score.settled_at)
             table.add_row(name, score.method, "yes" if score.at_rest else "no", *numbers, settled)
             name = ""
-    _print(table, least_width=110)
+    print_table(table, 110, sys.stdout)
     for i, method in enumerate(METHODS):
         rest = sum(scores[i].at_rest for _, scores in done)
         below = sum(scores[i].at_rest and scores[i].peak < 100 for _, scores in done)
