@@ -25,6 +25,7 @@ from rhl.app._streams import (
     named,
     open_streams,
     print_table,
+    printable,
     target_name,
     words_of,
 )
@@ -289,7 +290,8 @@ def _new(options: argparse.Namespace) -> int:
     options.output = Path(f"{name}.toml")
     _check_targets(options)
     deliver(options.output, template(stem), options.force)
-    print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
+    call = f"rhl run {options.output} --output {name}.csv --plot {name}.svg"
+    print(printable(f"{options.output} runs as it is: {call}"))
     return OK
 
 

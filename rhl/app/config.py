@@ -9,10 +9,10 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from rhl._checks import Array, describe, real_array, shown
-from rhl.app._keys import COUNT, TEXT, Section, key, table_of
+from rhl.app._keys import COUNT, LINE, Section, fitted, key, table_of
 from rhl.app._sections import (
     PLANTS,
     ControllerSection,
@@ -38,7 +38,7 @@ _LARGEST = 5_000_000
 class Config(Section):
     """A whole file."""
 
-    name = key("{}, what the run is called", TEXT)
+    name = key("{}, what the run is called, without control characters", LINE)
     steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
     plant = key("{}", table_of(*PLANTS))
     lifting = key("{}", table_of(LiftingSection))
@@ -218,8 +218,10 @@ def template(name: str) -> str:
 
     Keys that may be left out stand commented out.
     """
-    if not isinstance(cast(object, name), str):
-        raise InputError(f"name must be a string, got {describe(name)}")
+    try:
+        fitted(Config.keys()["name"], name)
+    except ValueError:
+        raise InputError(f"name must be {Config.keys()['name']['description']}, got {describe(name)}") from None
     lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
     example: dict[str, object] = {"name": name, "steps": 60}
     for table, about in Config.keys().items():

@@ -287,7 +287,23 @@ def test_the_schema_takes_what_the_parser_takes():
 
 VALUES = [
     *(True, 0, 1, -1, 2, 6, 7, 100, 101, 10_000, 10_001, 100_000, 100_001, 2**32 - 1, 2**32, 0.5, 1.5, -0.5, 5e-324),
-    *("", "?", "none", "search", "squares", "constant", "linear", "data", "lifted", "first", "sharp", "rough"),
+    *(
+        "",
+        "?",
+        "a\nb",
+        "\x1b[31m",
+        "größe",
+        "none",
+        "search",
+        "squares",
+        "constant",
+        "linear",
+        "data",
+        "lifted",
+        "first",
+        "sharp",
+        "rough",
+    ),
     *([], [[]], [1], [[1.0]], [["?"]], ["y1"], {}, {"a": 1}),
 ]
 PLANTS = [
