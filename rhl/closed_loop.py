@@ -188,7 +188,8 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
         value = taken.plan.value
         stuck = (value >= state.value) & (value > 0)
         if np.any(stuck):
-            v = first_input(used, scheme.factors, controller.horizon, controller.weight(X, stage + stuck), X)
+            weight = real_array("weight", controller.weight(X, stage + stuck))
+            v = first_input(used, scheme.factors, controller.horizon, weight, X)
             taken = replace(taken, v_computed=v, v_applied=v, stage=stage + stuck)
     return taken
 

@@ -235,7 +235,7 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         try:
             return experiment.run(tick), OK, ""
         except DivergedError as error:
-            return error.trace, STOPPED, str(error)
+            return error.trace, STOPPED, "; ".join(filter(None, (str(error), _heavy(experiment, error))))
         except (LostControllabilityError, NotSolvedError) as error:
             why = str(error)
         except MemoryError as error:
@@ -243,6 +243,18 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         except KeyboardInterrupt:
             return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
     return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
+
+
+def _heavy(experiment: Experiment, error: DivergedError) -> str:
+    """Return which key of the file made the terminal weight leave the range of float64, if one did."""
+    from rhl.app._sections import too_heavy
+
+    controller, k = experiment.scheme.controller, error.k
+    if not error.what.startswith("weight "):
+        return ""
+    if controller.adaptive:
+        k = int(error.trace.steps[-1].stage) + 1 if error.trace else 0
+    return too_heavy(controller, k)
 
 
 def _check(options: argparse.Namespace) -> int:

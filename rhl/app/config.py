@@ -13,8 +13,8 @@ from typing import Any
 
 from rhl._checks import Array, describe, real_array, shown
 from rhl.app._keys import COUNT, LINE, Section, fitted, key, table_of
+from rhl.app._plants import PLANTS
 from rhl.app._sections import (
-    PLANTS,
     ControllerSection,
     EstimatorSection,
     KnowledgeSection,

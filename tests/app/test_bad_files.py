@@ -1,6 +1,7 @@
 """Bad input on the command line: exit status, one line on standard error, nothing left behind; rows kept whole."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -485,6 +486,45 @@ def test_runs_that_leave_the_range_keep_whole_rows(folder, capsys, text, k):
     assert cli.main(RUN) == cli.STOPPED
     assert capsys.readouterr().err.startswith(f"rhl: the run left the range of floating-point numbers at k = {k}: ")
     assert whole_rows("t.csv") == k
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("alpha = 1.0", "alpha = 1e308"), r"; controller\.alpha must be smaller, got 1e\+308; the"),
+        (
+            ("eps_rate = 100.0", "eps_rate = 1e308"),
+            r"; controller\.eps_rate must be smaller, got 1e\+308, which makes eps\(\d+\) 1e-300; the",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "power"\neps_rate = 1e308\neps_power = 2'),
+            r"; controller\.eps_rate or controller\.eps_power must be smaller, got 1e\+308 and 2, which",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "exponential"\neps_factor = 5e-324'),
+            r"; controller\.eps_factor must be larger, got 4.94066e-324, which",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "constant"\neps_value = 5e-324'),
+            r"; controller\.eps_value must be larger, got 4.94066e-324, which makes eps\(0\) 4.94e-324; the 0 rows",
+        ),
+        (
+            ("eps_rate = 100.0", "eps_rate = 1e308\nadaptive = true"),
+            r"; controller\.eps_rate must be smaller, got 1e\+308, which makes eps\(\d+\) 1e-300; the",
+        ),
+        (
+            ("eps_rate = 100.0", "eps_rate = 100.0"),
+            r"k = 0: weight must be finite, got inf among its entries; the 0 rows",
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Theorem 1 asks")
+def test_a_weight_that_leaves_the_range_names_its_key(folder, capsys, change, says):
+    """In the last row it is the state that does, and no key is blamed."""
+    far = "-1e160]" if change[0] == change[1] else "-1e6]"
+    Path("run.toml").write_text(but(*change).replace("-10]", far), encoding="utf-8")
+    assert cli.main(RUN) == cli.STOPPED
+    assert re.search(says, capsys.readouterr().err)
 
 
 def whole_rows(path):

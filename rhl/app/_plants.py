@@ -1,0 +1,137 @@
+"""The kinds of plant that a run's TOML file may name: their keys, what they must be, and what is built of them."""
+
+from __future__ import annotations
+
+import os
+import runpy
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, describe, reason, shown
+from rhl.app._keys import MATRIX, SIZE, TEXT, VECTOR, Section, key
+from rhl.errors import InputError, PlantError
+from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
+from rhl.plants.examples import EXAMPLES, example
+
+
+class LinearSection(Section):
+    """[plant] with kind = "linear": z+ = F z + G v, y = H z, equation (1)."""
+
+    kind = key('"linear"')
+    F = key("a square matrix of finite numbers, n rows", MATRIX)
+    G = key("a matrix of finite numbers, n rows and a column for each input", MATRIX)
+    H = key("a matrix of finite numbers, a row for each output and n columns", MATRIX)
+    z0 = key("a list of n finite numbers, the initial state", VECTOR)
+
+    def plant(self) -> tuple[Plant, ArrayLike]:
+        return LinearPlant(self.F, self.G, self.H), self.z0
+
+
+class TransferSection(Section):
+    """[plant] with kind = "transfer-function": one input, one output, discrete time."""
+
+    kind = key('"transfer-function"')
+    num = key("a list of finite numbers, the numerator's coefficients, highest power of z first", VECTOR)
+    den = key("a list of finite numbers, the denominator's coefficients, more of them than num has", VECTOR)
+    z0 = key("a list of n finite numbers, the initial state in controllable canonical form", VECTOR)
+
+    def plant(self) -> tuple[Plant, ArrayLike]:
+        import control  # here, because it brings matplotlib along
+
+        num, den = np.trim_zeros(self.num, "f"), np.trim_zeros(self.den, "f")
+        if not num or len(den) <= len(num):
+            raise InputError(
+                "den must have a higher degree than num, and num must not be zero (a strictly proper plant), got "
+                f"{len(den)} and {len(num)} coefficients; append a zero to den for one more step of delay"
+            )
+        return LinearPlant.from_control(control.TransferFunction(num, den, True)), self.z0
+
+
+class ArmSection(Section):
+    """[plant] with kind = "robot-arm": equation (24)."""
+
+    kind = key('"robot-arm"')
+    variant = key('"data" (the coefficients behind the published curves) or "printed" (those in the text)')
+    z0 = key("a list of 3 finite numbers, the initial state", VECTOR)
+
+    def plant(self) -> tuple[Plant, ArrayLike]:
+        return RobotArm(self.variant), self.z0
+
+
+class ExampleSection(Section):
+    """[plant] with kind = "ready": one of the plants that come with the library."""
+
+    kind = key('"ready"')
+    name = key(f"one of {', '.join(EXAMPLES)}", TEXT)
+    z0 = key("a list of n finite numbers, the initial state; the plant's own if left out", VECTOR, default=None)
+
+    def plant(self) -> tuple[Plant, ArrayLike]:
+        found = example(self.name)
+        return found.plant, found.z0 if self.z0 is None else self.z0
+
+
+class PythonSection(Section):
+    """[plant] with kind = "python": two functions in a Python file of the user's, which is executed."""
+
+    kind = key('"python"')
+    file = key(
+        "the path of a Python file, seen from the folder of this one, that defines step(z, v) and output(z); it is "
+        "executed",
+        TEXT,
+    )
+    n = key("{}, the size of the state", SIZE)
+    q = key("{}, the size of the input", SIZE)
+    z0 = key("a list of n finite numbers, the initial state", VECTOR)
+
+    def plant(self) -> tuple[Plant, ArrayLike]:
+        names, lengths = _executed(self.file), {"step(z, v)": str(self.n), "output(z)": "p"}
+        for name in ("step", "output"):
+            if name not in names:
+                raise InputError(f"file must define a function {name}, got a file without it: {shown(self.file)}")
+        step, output = (
+            _told(f"{name}({arguments})", names[name], lengths)
+            for name, arguments in (("step", "z, v"), ("output", "z"))
+        )
+        plant = FunctionPlant(step, output, n=self.n, q=self.q, names=("step", "output"))
+        lengths["output(z)"] = str(plant.p)
+        return plant, self.z0
+
+
+PLANTS = (LinearSection, TransferSection, ExampleSection, ArmSection, PythonSection)
+
+
+def _executed(file: str) -> dict[str, Any]:
+    folder = os.getcwd()
+    try:
+        return runpy.run_path(file)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's file raises, sys.exit included
+        raise InputError(f"file must be a Python file that runs, got {reason(error)}, from {shown(file)}") from error
+    finally:
+        os.chdir(folder)  # output is named from there, wherever the file went
+
+
+def _told(name: str, function: Any, lengths: dict[str, str]) -> Any:
+    """Say in one sentence what a file's function raises, which FunctionPlant would let through."""
+    if not callable(function):
+        return function
+
+    def call(*arguments: Array) -> Any:
+        try:
+            return function(*arguments)
+        except (KeyboardInterrupt, OverflowError):  # a plant that overflows has diverged
+            raise
+        except BaseException as error:  # whatever a user's function raises, sys.exit included
+            wanted = f"{name} must return an array of shape ({lengths[name]},)"
+            if isinstance(error, ValueError) and "read-only" in str(error):
+                raise PlantError(
+                    f"{wanted} and leave its arguments alone, got an attempt to write into them; it must return a new "
+                    "array, so begin with z = z.copy()"
+                ) from error
+            where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
+            raise PlantError(f"{wanted}, got {reason(error)}; try it by hand at {where}") from error
+
+    return call
