@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, describe, reason, shown
-from rhl.app._keys import MATRIX, SIZE, TEXT, VECTOR, Section, key
+from rhl.app._keys import MATRIX, POSITIVE, SIZE, TEXT, VECTOR, Section, key, list_of
 from rhl.errors import InputError, PlantError
 from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
 from rhl.plants.examples import EXAMPLES, example
@@ -29,24 +29,72 @@ class LinearSection(Section):
         return LinearPlant(self.F, self.G, self.H), self.z0
 
 
+# Coefficients of each channel: a row for each output, in it a list for each input.
+_CHANNELS = list_of(list_of(VECTOR))
+
+
 class TransferSection(Section):
-    """[plant] with kind = "transfer-function": one input, one output, discrete time."""
+    """[plant] with kind = "transfer-function": any numbers of inputs and outputs, in discrete or continuous time."""
 
     kind = key('"transfer-function"')
-    num = key("a list of finite numbers, the numerator's coefficients, highest power of z first", VECTOR)
-    den = key("a list of finite numbers, the denominator's coefficients, more of them than num has", VECTOR)
-    z0 = key("a list of n finite numbers, the initial state in controllable canonical form", VECTOR)
+    num = key(
+        "a list of finite numbers, the numerator's coefficients, highest power of z first; of several inputs and "
+        "outputs a row for each output, in it such a list for each input",
+        VECTOR,
+        _CHANNELS,
+    )
+    den = key(
+        "a list of finite numbers, the denominator's coefficients, more of them than num has; of several inputs and "
+        "outputs like num, or one list for all",
+        VECTOR,
+        _CHANNELS,
+    )
+    sampling = key(
+        "{}, the seconds between samples where num and den are in continuous time, in powers of s; inputs are held "
+        "between samples",
+        POSITIVE,
+        default=None,
+    )
+    z0 = key(
+        "a list of n finite numbers, the initial state in controllable canonical form; of several inputs a block for "
+        "each, reduced to what the outputs see",
+        VECTOR,
+    )
 
     def plant(self) -> tuple[Plant, ArrayLike]:
         import control  # here, because it brings matplotlib along
 
-        num, den = np.trim_zeros(self.num, "f"), np.trim_zeros(self.den, "f")
-        if not num or len(den) <= len(num):
+        num, den = self._channels()
+        time: Any = True if self.sampling is None else 0
+        return LinearPlant.from_control(control.TransferFunction(num, den, time), self.sampling), self.z0
+
+    def _channels(self) -> tuple[list[list[list[float]]], list[list[list[float]]]]:
+        single = not (self.num and isinstance(self.num[0], list))
+        num = [[self.num]] if single else self.num
+        p, q = len(num), len(num[0])
+        if not q or any(len(row) != q for row in num):
             raise InputError(
-                "den must have a higher degree than num, and num must not be zero (a strictly proper plant), got "
-                f"{len(den)} and {len(num)} coefficients; append a zero to den for one more step of delay"
+                f"num must have as many lists of coefficients in every row, one for each input, got "
+                f"{sorted({len(row) for row in num})}"
             )
-        return LinearPlant.from_control(control.TransferFunction(num, den, True)), self.z0
+        one = not (self.den and isinstance(self.den[0], list))
+        den = [[self.den] * q] * p if one else self.den
+        if [len(row) for row in den] != [q] * p:
+            raise InputError(
+                f"den must have {p} rows of {q} lists, as num has, or be one list, got {describe(self.den)}"
+            )
+        num, den = ([[np.trim_zeros(part, "f") for part in row] for row in rows] for rows in (num, den))
+        for i, j in np.ndindex(p, q):
+            over, under = len(num[i][j]), len(den[i][j])
+            if under <= over or (single and not over):
+                where = "" if single else f" from input {j + 1} to output {i + 1}"
+                remedy = "append a zero to den for one more step of delay"
+                raise InputError(
+                    "den must have a higher degree than num, and num must not be zero (a strictly proper plant), got "
+                    f"{under} and {over} coefficients{where}; "
+                    + (remedy if self.sampling is None else "model the lag of a sensor or an actuator")
+                )
+        return [[part or [0.0] for part in row] for row in num], den
 
 
 class ArmSection(Section):

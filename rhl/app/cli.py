@@ -7,8 +7,7 @@ import json
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -26,6 +25,7 @@ from rhl.app._streams import (
     open_streams,
     print_table,
     printable,
+    progress,
     target_name,
     words_of,
 )
@@ -225,7 +225,7 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
     from rhl._checks import reason
 
     trace: Trace | None = None
-    with _progress(experiment.name, experiment.steps) as show:
+    with progress(experiment.name, experiment.steps) as show:
 
         def tick(so_far: Trace) -> None:
             nonlocal trace
@@ -329,7 +329,7 @@ def _verify(options: argparse.Namespace) -> int:
             print(f"{claim.id:28} {claim.statement}")
         return OK
     done: list[Judgement] = []
-    with _progress("checking", len(claims)) as show:
+    with progress("checking", len(claims)) as show:
 
         def tick(judgement: Judgement) -> None:
             done.append(judgement)
@@ -361,25 +361,6 @@ def _verify(options: argparse.Namespace) -> int:
     if len(done) < len(claims):
         return INTERRUPTED
     return OK if all(row.as_recorded for row in done) else MISSED
-
-
-@contextmanager
-def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show on a terminal's standard error how much is done, and nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task(what, total=total)
-    bar.start()
-    try:
-        yield lambda done: bar.update(task, completed=done)
-    finally:
-        with suppress(OSError):  # a terminal that is gone takes the bar along, and must not take the rows
-            bar.stop()
 
 
 def _figures() -> ModuleType:

@@ -28,8 +28,8 @@ def plant(text):
     return LINEAR.replace(PLANT, text + "\n")
 
 
-def transfer(num, den, z0="[1]"):
-    return plant(f'kind = "transfer-function"\nnum = {num}\nden = {den}\nz0 = {z0}')
+def transfer(num, den, z0="[1]", more=""):
+    return plant(f'kind = "transfer-function"\nnum = {num}\nden = {den}\nz0 = {z0}\n{more}')
 
 
 def has(section, lines):
@@ -102,6 +102,44 @@ CONFIGURATIONS = [
         transfer("[1]", "[5e-324, 1]"),
         r"^\[plant\] system must have coefficients .*got",
         "scale",
+    ),
+    (
+        "transfer ragged",
+        transfer("[[[1]], [[1], [1]]]", "[1, 1]"),
+        r"^plant.num must have as many .*got \[1, 2\]",
+        None,
+    ),
+    ("transfer without", transfer("[[]]", "[1, 1]"), r"^plant.num must have as many lists .*got \[0\]", None),
+    (
+        "transfer's other shape",
+        transfer("[[[1], [1]]]", "[[[1, 1]]]"),
+        r"^plant.den must have 1 rows of 2 lists.*got \[\[\[1",
+        None,
+    ),
+    (
+        "a channel not proper",
+        transfer("[[[1], [1, 2]]]", "[1, 1]"),
+        r"^plant.den must have a higher .*got 2 and 2 coefficients from input 2 to output 1",
+        "append",
+    ),
+    (
+        "not proper in s",
+        transfer("[1, 2]", "[1, 1]", more="sampling = 0.1"),
+        r"^plant.den must have a higher .*got 2 and 2 coefficients",
+        "model the lag",
+    ),
+    (
+        "no channel at all",
+        transfer("[[[0], [0]]]", "[1, 1]"),
+        r"^\[plant\] system must respond .*got a transfer",
+        "check",
+    ),
+    ("sampling 0", transfer("[1]", "[1, 1]", more="sampling = 0"), r"^plant.sampling must be a pos.*got 0", None),
+    (
+        "sampling too long",
+        transfer("[1]", "[1, -1]", more="sampling = 1e6"),
+        r"^plant.sampling must be short .*got 1e\+06",
+        None,
     ),
     ("transfer's z0", transfer("[1]", "[1, 1]", "[1, 2]"), r"^plant.z0 must have 1 entries.*got 2", None),
     ("no ready plant", plant('kind = "ready"\nname = "cart"'), r"^plant.name must be one of cart-.*got 'cart'", None),
