@@ -248,7 +248,8 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
         value = taken.plan.value
         stuck = (value >= state.value) & (value > 0)
         if np.any(stuck):
-            v = first_input(used, factors, controller.horizon, controller.weight(counts, stage + stuck), X)
+            weight = real_array("weight", controller.weight(counts, stage + stuck))
+            v = first_input(used, factors, controller.horizon, weight, X)
             taken = replace(taken, v_computed=v, v_applied=v, stage=stage + stuck)
     return taken
 

@@ -140,7 +140,7 @@ API = [
     ("arm's variant", lambda: RobotArm("new"), r"^variant must be one of data, printed, got 'new'", None),
     ("arm's h", lambda: RobotArm("data", -1.0), r"^h must be a positive finite number, got -1.0", None),
     ("no system", lambda: LinearPlant.from_control(3), r"^system must be a control.StateSpace .*got int", "a plant of"),
-    ("continuous time", from_tf([1.0], [1.0, 1.0], 0), r"^system must be in discrete time .*got dt=0", "discretise"),
+    ("continuous time", from_tf([1.0], [1.0, 1.0], 0), r"^system must be in discrete time .*got dt=0", "give the"),
     ("not strictly proper", from_tf([1.0, 1.0], [1.0, 1.0]), r"^system must be strictly proper .*degree 1", "delay it"),
     ("zero system", from_tf([0.0], [1.0, 1.0]), r"^system must respond to an input, got", "check its"),
     ("quotients beyond float64", from_tf([1e300], [1e-300, 1.0]), r"^system must have coefficients .*got", "scale"),
@@ -538,7 +538,7 @@ API = [
     ("keys that are numbers", lambda: parse({1: 2}), r"^a run must be described by a dictionary .*got {1: 2}", None),
     ("no file", lambda: load("missing.toml"), r"^missing.toml must be a readable TOML file, got: No such", None),
     ("a path of None", lambda: load(None), r"^None must be a readable TOML file, got: ", None),
-    ("a template without a name", lambda: template(3), r"^name must be a string, got 3", None),
+    ("a template without a name", lambda: template(3), r"^name must be a string, .*got 3", None),
 ]
 
 # Those whose type says more than InputError.

@@ -91,8 +91,8 @@ PAPER = [
     "paper.sweeps",
 ]
 STUDY = ["study", "study.rivals", "study.compare"]
-APP = ["app", "app.diagnosis", "app._keys", "app._sections", "app.config", "app._streams", "app.cli", "__main__"]
-ORDER = [*CORE, *STUDY, *PAPER, *APP]
+APP = ["app", *(f"app.{name}" for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli"))]
+ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
 FORBIDDEN = {

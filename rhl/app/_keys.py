@@ -39,6 +39,8 @@ FRACTION: Kind = NUMBER | {"minimum": 0, "exclusiveMaximum": 1}
 OPEN_FRACTION: Kind = NUMBER | {"exclusiveMinimum": 0, "exclusiveMaximum": 1}
 FLAG: Kind = {"type": "boolean"}
 TEXT: dict[str, Any] = {"type": "string"}
+# Without what ends a line, moves a cursor or turns the direction of writing: it is printed and drawn.
+LINE: Kind = TEXT | {"pattern": "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$(?!\\n)"}
 VECTOR = list_of(NUMBER)
 MATRIX = list_of(VECTOR)
 # Of numbers, and "?" where one is not known.
@@ -102,7 +104,7 @@ def fitted(kind: Kind, value: Any) -> Any:
         inside = kind.get("exclusiveMinimum", -inf) < value < kind.get("exclusiveMaximum", inf)
         if not (inside and kind.get("minimum", -inf) <= value <= kind.get("maximum", inf)):
             raise ValueError
-    elif value not in kind.get("enum", (value,)):
+    elif value not in kind.get("enum", (value,)) or not re.fullmatch(kind.get("pattern", "(?s:.*)"), str(value)):
         raise ValueError
     return value
 

@@ -1,16 +1,15 @@
-"""The sections of a run's TOML file: every key, what it must be, and what is built of it."""
+"""The sections of a run's TOML file but its plant: every key, what it must be, and what is built of it."""
 
 from __future__ import annotations
 
-import os
-import runpy
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, real_array, reason, shown
+from rhl._checks import Array, describe, real_array
 from rhl.app._keys import (
     FLAG,
     FRACTION,
@@ -34,101 +33,14 @@ from rhl.basis import Polynomials, Terms
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
 from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Outliers, Saturation
-from rhl.errors import InputError, PlantError
+from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.losses import GENERATORS, LOSSES, Convex
 from rhl.model import SignalModel
-from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
+from rhl.plants import LinearPlant
 from rhl.plants.analysis import rough_model
-from rhl.plants.examples import EXAMPLES, example
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, Schedule
 from rhl.scheme import Controller
-
-
-class LinearSection(Section):
-    """[plant] with kind = "linear": z+ = F z + G v, y = H z, equation (1)."""
-
-    kind = key('"linear"')
-    F = key("a square matrix of finite numbers, n rows", MATRIX)
-    G = key("a matrix of finite numbers, n rows and a column for each input", MATRIX)
-    H = key("a matrix of finite numbers, a row for each output and n columns", MATRIX)
-    z0 = key("a list of n finite numbers, the initial state", VECTOR)
-
-    def plant(self) -> tuple[Plant, ArrayLike]:
-        return LinearPlant(self.F, self.G, self.H), self.z0
-
-
-class TransferSection(Section):
-    """[plant] with kind = "transfer-function": one input, one output, discrete time."""
-
-    kind = key('"transfer-function"')
-    num = key("a list of finite numbers, the numerator's coefficients, highest power of z first", VECTOR)
-    den = key("a list of finite numbers, the denominator's coefficients, more of them than num has", VECTOR)
-    z0 = key("a list of n finite numbers, the initial state in controllable canonical form", VECTOR)
-
-    def plant(self) -> tuple[Plant, ArrayLike]:
-        import control  # here, because it brings matplotlib along
-
-        num, den = np.trim_zeros(self.num, "f"), np.trim_zeros(self.den, "f")
-        if not num or len(den) <= len(num):
-            raise InputError(
-                "den must have a higher degree than num, and num must not be zero (a strictly proper plant), got "
-                f"{len(den)} and {len(num)} coefficients; append a zero to den for one more step of delay"
-            )
-        return LinearPlant.from_control(control.TransferFunction(num, den, True)), self.z0
-
-
-class ArmSection(Section):
-    """[plant] with kind = "robot-arm": equation (24)."""
-
-    kind = key('"robot-arm"')
-    variant = key('"data" (the coefficients behind the published curves) or "printed" (those in the text)')
-    z0 = key("a list of 3 finite numbers, the initial state", VECTOR)
-
-    def plant(self) -> tuple[Plant, ArrayLike]:
-        return RobotArm(self.variant), self.z0
-
-
-class ExampleSection(Section):
-    """[plant] with kind = "ready": one of the plants that come with the library."""
-
-    kind = key('"ready"')
-    name = key(f"one of {', '.join(EXAMPLES)}", TEXT)
-    z0 = key("a list of n finite numbers, the initial state; the plant's own if left out", VECTOR, default=None)
-
-    def plant(self) -> tuple[Plant, ArrayLike]:
-        found = example(self.name)
-        return found.plant, found.z0 if self.z0 is None else self.z0
-
-
-class PythonSection(Section):
-    """[plant] with kind = "python": two functions in a Python file of the user's, which is executed."""
-
-    kind = key('"python"')
-    file = key(
-        "the path of a Python file, seen from the folder of this one, that defines step(z, v) and output(z); it is "
-        "executed",
-        TEXT,
-    )
-    n = key("{}, the size of the state", SIZE)
-    q = key("{}, the size of the input", SIZE)
-    z0 = key("a list of n finite numbers, the initial state", VECTOR)
-
-    def plant(self) -> tuple[Plant, ArrayLike]:
-        names, lengths = _executed(self.file), {"step(z, v)": str(self.n), "output(z)": "p"}
-        for name in ("step", "output"):
-            if name not in names:
-                raise InputError(f"file must define a function {name}, got a file without it: {shown(self.file)}")
-        step, output = (
-            _told(f"{name}({arguments})", names[name], lengths)
-            for name, arguments in (("step", "z, v"), ("output", "z"))
-        )
-        plant = FunctionPlant(step, output, n=self.n, q=self.q, names=("step", "output"))
-        lengths["output(z)"] = str(plant.p)
-        return plant, self.z0
-
-
-PLANTS = (LinearSection, TransferSection, ExampleSection, ArmSection, PythonSection)
 
 
 class LiftingSection(Section):
@@ -284,6 +196,24 @@ class ControllerSection(Section):
         return schedule(*(getattr(self, name) for name in needed))
 
 
+def too_heavy(controller: Controller, k: int) -> str:
+    """Say which key makes the weight alpha x'x / eps(k) leave the range of float64; "" where the state does."""
+    schedule: Any = controller.epsilon
+    names = next(names for kind, names in _SCHEDULES.values() if kind is type(schedule))
+    if isinstance(schedule, PowerDecay) and schedule.power != 1:
+        names = _SCHEDULES["power"][1]
+    # In powers of ten: where the file takes less than half of the range, the state took the rest of it.
+    by_alpha, by_eps = math.log10(controller.alpha), -math.log10(schedule(k))
+    if by_alpha + by_eps < 154:
+        return ""
+    if by_alpha > by_eps:
+        return f"controller.alpha must be smaller, got {controller.alpha:g}"
+    keys = " or ".join(f"controller.{name}" for name in names)
+    got = " and ".join(f"{value:g}" for value in astuple(schedule)[: len(names)])
+    size = "smaller" if isinstance(schedule, PowerDecay) else "larger"
+    return f"{keys} must be {size}, got {got}, which makes eps({k}) {schedule(k):.3g}"
+
+
 class SimulationSection(Section):
     """[simulation]: what errs between scheme and plant, outside the theory."""
 
@@ -337,38 +267,3 @@ def _partial(name: str, rows: list[list[Any]], shape: tuple[int, int]) -> Array:
             f"{name} must have shape {shape}, got {len(rows)} rows of {sorted({len(row) for row in rows})}"
         )
     return np.array([[np.nan if entry == "?" else entry for entry in row] for row in rows], dtype=np.float64)
-
-
-def _executed(file: str) -> dict[str, Any]:
-    folder = os.getcwd()
-    try:
-        return runpy.run_path(file)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # whatever a user's file raises, sys.exit included
-        raise InputError(f"file must be a Python file that runs, got {reason(error)}, from {shown(file)}") from error
-    finally:
-        os.chdir(folder)  # output is named from there, wherever the file went
-
-
-def _told(name: str, function: Any, lengths: dict[str, str]) -> Any:
-    """Say in one sentence what a file's function raises, which FunctionPlant would let through."""
-    if not callable(function):
-        return function
-
-    def call(*arguments: Array) -> Any:
-        try:
-            return function(*arguments)
-        except (KeyboardInterrupt, OverflowError):  # a plant that overflows has diverged
-            raise
-        except BaseException as error:  # whatever a user's function raises, sys.exit included
-            wanted = f"{name} must return an array of shape ({lengths[name]},)"
-            if isinstance(error, ValueError) and "read-only" in str(error):
-                raise PlantError(
-                    f"{wanted} and leave its arguments alone, got an attempt to write into them; it must return a new "
-                    "array, so begin with z = z.copy()"
-                ) from error
-            where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
-            raise PlantError(f"{wanted}, got {reason(error)}; try it by hand at {where}") from error
-
-    return call

@@ -7,8 +7,7 @@ import json
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -25,6 +24,8 @@ from rhl.app._streams import (
     named,
     open_streams,
     print_table,
+    printable,
+    progress,
     target_name,
     words_of,
 )
@@ -236,7 +237,7 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
     from rhl._checks import reason
 
     trace: Trace | None = None
-    with _progress(experiment.name, experiment.steps) as show:
+    with progress(experiment.name, experiment.steps) as show:
 
         def tick(so_far: Trace) -> None:
             nonlocal trace
@@ -246,7 +247,7 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         try:
             return experiment.run(tick), OK, ""
         except DivergedError as error:
-            return error.trace, STOPPED, str(error)
+            return error.trace, STOPPED, "; ".join(filter(None, (str(error), _heavy(experiment, error))))
         except (LostControllabilityError, NotSolvedError) as error:
             why = str(error)
         except MemoryError as error:
@@ -254,6 +255,18 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         except KeyboardInterrupt:
             return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
     return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
+
+
+def _heavy(experiment: Experiment, error: DivergedError) -> str:
+    """Return which key of the file made the terminal weight leave the range of float64, if one did."""
+    from rhl.app._sections import too_heavy
+
+    controller, k = experiment.scheme.controller, error.k
+    if not error.what.startswith("weight "):
+        return ""
+    if controller.adaptive:
+        k = int(error.trace.steps[-1].stage) + 1 if error.trace else 0
+    return too_heavy(controller, k)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -302,7 +315,8 @@ def _new(options: argparse.Namespace) -> int:
     _check_targets(options)
     text = template(stem) if options.source is None else published(stem, options.source)
     deliver(options.output, text, options.force)
-    print(f"{options.output} runs as it is: rhl run {options.output} --output {name}.csv --plot {name}.svg")
+    call = f"rhl run {options.output} --output {name}.csv --plot {name}.svg"
+    print(printable(f"{options.output} runs as it is: {call}"))
     return OK
 
 
@@ -314,7 +328,7 @@ def _compare(options: argparse.Namespace) -> int:
 
     plants = [benchmark(name) for name in options.plants or names(largest=10)]
     done: list[tuple[str, tuple[Score, ...]]] = []
-    with _progress("comparing", len(plants)) as show:
+    with progress("comparing", len(plants)) as show:
         try:
             for plant in plants:
                 done.append((plant.name, compare(plant.sampled(), plant.z0, plant.order(), options.steps)))
@@ -360,7 +374,7 @@ def _verify(options: argparse.Namespace) -> int:
             print(f"{claim.id:28} {claim.statement}")
         return OK
     done: list[Judgement] = []
-    with _progress("checking", len(claims)) as show:
+    with progress("checking", len(claims)) as show:
 
         def tick(judgement: Judgement) -> None:
             done.append(judgement)
@@ -392,25 +406,6 @@ def _verify(options: argparse.Namespace) -> int:
     if len(done) < len(claims):
         return INTERRUPTED
     return OK if all(row.as_recorded for row in done) else MISSED
-
-
-@contextmanager
-def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show on a terminal's standard error how much is done, and nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    bar = Progress(console=Console(stderr=True), transient=True)
-    task = bar.add_task(what, total=total)
-    bar.start()
-    try:
-        yield lambda done: bar.update(task, completed=done)
-    finally:
-        with suppress(OSError):  # a terminal that is gone takes the bar along, and must not take the rows
-            bar.stop()
 
 
 def _figures() -> ModuleType:

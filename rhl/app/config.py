@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from rhl._checks import Array, describe, real_array, shown
-from rhl.app._keys import COUNT, POSITIVE, SIZE, TEXT, Section, key, list_of, table_of
+from rhl.app._keys import COUNT, LINE, POSITIVE, SIZE, Section, fitted, key, list_of, table_of
+from rhl.app._plants import PLANTS
 from rhl.app._sections import (
-    PLANTS,
     ControllerSection,
     EstimatorSection,
     KnowledgeSection,
@@ -46,7 +46,7 @@ _LARGEST = 5_000_000
 class Config(Section):
     """A whole file."""
 
-    name = key("{}, what the run is called", TEXT)
+    name = key("{}, what the run is called, without control characters", LINE)
     steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
     order = key(
         "{}, an upper bound of the plant's observability index: in place of the sections below, the scheme is chosen "
@@ -262,8 +262,10 @@ def template(name: str) -> str:
 
     Keys that may be left out stand commented out.
     """
-    if not isinstance(cast(object, name), str):
-        raise InputError(f"name must be a string, got {describe(name)}")
+    try:
+        fitted(Config.keys()["name"], name)
+    except ValueError:
+        raise InputError(f"name must be {Config.keys()['name']['description']}, got {describe(name)}") from None
     lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
     example: dict[str, object] = {"name": name, "steps": 60}
     for table, about in Config.keys().items():

@@ -20,19 +20,26 @@ if TYPE_CHECKING:
 
 
 def tell(**values: float | int | str) -> None:
-    """Hand numbers, or short strings, to the prose of the page under their names.
+    """Hand numbers, or short strings, to the prose of the page under their names; outside the book, print them.
 
     ``**values``: read in the text as ``{glue:text}`name:.2f```. InputError if a number is not finite: no page shall say
     NaN.
     """
-    from myst_nb import glue  # here, because only the book's extra installs it
+    in_book = "RHL_BOOK" in os.environ
+    try:
+        from myst_nb import glue  # here, because only the book's extra installs it
+    except ImportError:
+        if in_book:
+            raise
+        glue = None
 
     for name, value in values.items():
         plain = value if isinstance(value, str) else value.item() if hasattr(value, "item") else value
         if not isinstance(plain, str) and not math.isfinite(plain):
             raise InputError(f"{name} must be finite to be told in the text, got {plain}")
-        glue(name, plain, display=False)
-        if "RHL_BOOK" not in os.environ:
+        if glue is not None:
+            glue(name, plain, display=False)
+        if not in_book:
             # Outside the book the prose shows the names only; so that a reader of the notebook finds the numbers.
             print(f"{name} = {plain}")
 

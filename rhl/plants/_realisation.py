@@ -57,20 +57,22 @@ def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
         block, size = F.T @ new, float(np.linalg.norm(F, 2))
 
 
-def how_to_discretise(system: Any, transfer: bool) -> str:
-    many = transfer and (system.ninputs, system.noutputs) != (1, 1)
-    # python-control samples transfer functions of one input and one output only.
-    call = "control.sample_system(control.ss(A, B, C, 0), Ts)" if many else "control.sample_system(system, Ts)"
-    wrong = f"system must be in discrete time (dt positive or True), got dt={system.dt}; "
-    if system.dt is None:
-        return f"{wrong}say dt=True when making it if it is, or discretise it first with {call} if it is not"
-    return f"{wrong}discretise it first with {call}" + (
-        ", in state space because it has several channels" if many else ""
-    )
+def held(F: Array, G: Array, seconds: float) -> tuple[Array, Array]:
+    r"""Sample dz/dt = F z + G v with v held constant between samples: :math:`e^{Ft}` and its integral times G."""
+    from scipy.linalg import expm  # here, because most plants do without
+
+    n, q = G.shape
+    with np.errstate(over="ignore", invalid="ignore"):
+        both = expm(seconds * np.block([[F, G], [np.zeros((q, n + q))]])) if n else np.eye(q)
+    if not np.all(np.isfinite(both)):
+        raise InputError(
+            f"sampling must be short enough that a sample later the state is in the range of float64, got {seconds:g}"
+        )
+    return both[:n, :n], both[:n, n:]
 
 
 def realise(system: Any) -> tuple[Array, Array, Array]:
-    """Return F, G, H of a discrete-time transfer function, controllable by construction and cut to what y sees."""
+    """Return F, G, H of a transfer function, controllable by construction and cut to what y sees."""
     p, q = system.noutputs, system.ninputs
     columns = []
     for j in range(q):
@@ -80,10 +82,13 @@ def realise(system: Any) -> tuple[Array, Array, Array]:
             if np.iscomplexobj(num) or np.iscomplexobj(den):
                 raise InputError("system must have real coefficients, got complex ones; give the real system")
             if len(num) >= len(den):
+                missing = len(num) - len(den) + 1
+                slower = f"delay it by multiplying that channel with control.tf([1], {[1] + [0] * missing}, system.dt)"
+                if not system.isdtime(strict=True):
+                    slower = f"model the lag of a sensor or an actuator: {missing} more of that channel's poles"
                 raise InputError(
                     f"system must be strictly proper (y = H z, equation (1)), got degree {len(num) - 1} over "
-                    f"{len(den) - 1} from input {j} to output {i}; delay it by multiplying that channel with "
-                    f"control.tf([1], {[1] + [0] * (len(num) - len(den) + 1)}, system.dt)"
+                    f"{len(den) - 1} from input {j} to output {i}; {slower}"
                 )
             numerators.append(num / den[0])
             denominators.append(den / den[0])

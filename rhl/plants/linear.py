@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rhl._checks import Array, common_batch, real_array, square
+from rhl._checks import Array, common_batch, positive, real_array, square
 from rhl.errors import InputError
-from rhl.plants._realisation import how_to_discretise, realise
+from rhl.plants._realisation import held, realise
 from rhl.plants.base import check_lengths
 
 if TYPE_CHECKING:
@@ -41,8 +41,10 @@ class LinearPlant:
         common_batch(F=(F, 2), G=(self.G, 2), H=(self.H, 2))
 
     @classmethod
-    def from_control(cls, system: control.StateSpace | control.TransferFunction) -> LinearPlant:
-        """Take a discrete-time system without feedthrough from python-control; no slycot is needed.
+    def from_control(
+        cls, system: control.StateSpace | control.TransferFunction, sampling: float | None = None
+    ) -> LinearPlant:
+        """Take a system without feedthrough from python-control; no slycot is needed.
 
         A state space gives its own F, G, H. A transfer function is realised: each input by one companion form over the
         common denominator of its column, which is controllable; what the outputs do not see of that is taken away, so
@@ -50,8 +52,12 @@ class LinearPlant:
         order is then the McMillan degree; roots of a numerator and a denominator that agree to ten digits or so count
         as cancelled.
 
-        InputError if the system is neither of the two, is in continuous time (``dt`` must be positive or True), has
-        feedthrough, is improper, holds complex numbers, or is zero. Any numbers of inputs and outputs will do.
+        ``sampling`` is the time between samples of a system in continuous time, positive; its inputs are held constant
+        in between, and its state at the samples is the plant's.
+
+        InputError if the system is neither of the two, is in continuous time (``dt`` neither positive nor True) without
+        ``sampling`` or in discrete time with it, has feedthrough, is improper, holds complex numbers, or is zero. Any
+        numbers of inputs and outputs will do.
 
         Examples
         --------
@@ -59,6 +65,8 @@ class LinearPlant:
         >>> plant = LinearPlant.from_control(control.tf([1.0], [1.0, -1.1], True))
         >>> plant.F, plant.G, plant.H
         (array([[1.1]]), array([[1.]]), array([[1.]]))
+        >>> LinearPlant.from_control(control.tf([1.0], [1.0, 0.0]), sampling=0.5).G
+        array([[0.5]])
         """
         import control  # here, because it brings matplotlib along
 
@@ -67,22 +75,21 @@ class LinearPlant:
                 f"system must be a control.StateSpace or a control.TransferFunction, got {type(system).__name__}; "
                 "a plant of another kind is an rhl.plants.FunctionPlant"
             )
-        if not system.isdtime(strict=True):
-            raise InputError(how_to_discretise(system, isinstance(system, control.TransferFunction)))
-        if isinstance(system, control.TransferFunction):
-            with np.errstate(over="ignore", invalid="ignore"):
-                return cls(*realise(system))
-        if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
+        if sampling is not None:
+            sampling = positive("sampling", sampling)
+        discrete = system.isdtime(strict=True)
+        if discrete and sampling is not None:
+            raise InputError(f"sampling must be left out for a system in discrete time, got {sampling:g}")
+        if not discrete and sampling is None:
+            known = "say dt=True when making it if it is, or " if system.dt is None else ""
             raise InputError(
-                "system must have real matrices, got complex ones; give the real system that they stand for"
+                f"system must be in discrete time (dt positive or True), got dt={system.dt}; {known}give the time "
+                "between samples, as in LinearPlant.from_control(system, sampling=Ts)"
             )
-        if np.any(system.D):
-            q = system.ninputs
-            raise InputError(
-                "system must have D = 0 (y = H z, equation (1)), got a feedthrough; put one step of delay before it "
-                f"with system * control.ss(np.zeros(({q}, {q})), np.eye({q}), np.eye({q}), 0, system.dt)"
-            )
-        return cls(system.A, system.B, system.C)
+        with np.errstate(over="ignore", invalid="ignore"):
+            transfer = isinstance(system, control.TransferFunction)
+            F, G, H = realise(system) if transfer else _of_state_space(system)
+        return cls(F, G, H) if sampling is None else cls(*held(F, G, sampling), H)
 
     @property
     def n(self) -> int:
@@ -113,3 +120,17 @@ class LinearPlant:
         """Return H z, shape (..., p); InputError if z has another length."""
         (z,) = check_lengths(z=(z, self.n))
         return np.einsum("...ab,...b->...a", self.H, z)
+
+
+def _of_state_space(system: control.StateSpace) -> tuple[Array, Array, Array]:
+    if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
+        raise InputError("system must have real matrices, got complex ones; give the real system that they stand for")
+    if np.any(system.D):
+        q = system.ninputs
+        if system.isdtime(strict=True):
+            remedy = "put one step of delay before it with system * control.ss("
+            remedy += f"np.zeros(({q}, {q})), np.eye({q}), np.eye({q}), 0, system.dt)"
+        else:
+            remedy = "model the lag of a sensor or an actuator"
+        raise InputError(f"system must have D = 0 (y = H z, equation (1)), got a feedthrough; {remedy}")
+    return system.A, system.B, system.C

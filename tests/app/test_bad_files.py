@@ -1,6 +1,7 @@
 """Bad input on the command line: exit status, one line on standard error, nothing left behind; rows kept whole."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -27,8 +28,8 @@ def plant(text):
     return LINEAR.replace(PLANT, text + "\n")
 
 
-def transfer(num, den, z0="[1]"):
-    return plant(f'kind = "transfer-function"\nnum = {num}\nden = {den}\nz0 = {z0}')
+def transfer(num, den, z0="[1]", more=""):
+    return plant(f'kind = "transfer-function"\nnum = {num}\nden = {den}\nz0 = {z0}\n{more}')
 
 
 def has(section, lines):
@@ -59,8 +60,11 @@ CONFIGURATIONS = [
     ("huge number", "steps = 1" + "0" * 5000, r"^run.toml must be valid TOML, got: Exceeds the limit", None),
     ("not UTF-8", b"\xff\xfe", r"^run.toml must be a TOML file in UTF-8, got other bytes at position 0", None),
     ("too large", b"#" * 5_000_001, r"^run.toml must be a TOML file of at most 5000000 bytes, got more", None),
-    ("empty", "", r"^name must be a string, what the run is called, got nothing", "add the key"),
+    ("empty", "", r"^name must be a string, what the run is called, without .*, got nothing", "add the key"),
     ("key of two lines", has("controller", '"a\\nb" = 1'), r"^controller.'a\\nb' is not a known key; expected", None),
+    ("name of escapes", but('"linear"\nst', '"a\\u001b[31m"\nst'), r"^name must be a string, .*got 'a.*x1b.31m'", None),
+    ("name of two lines", but('"linear"\nst', '"a\\nb"\nst'), r"^name must be a string, .*got 'a.nb'", None),
+    ("name that turns", but('"linear"\nst', '"\\u202e"\nst'), r"^name must be a string, .*got .*u202e", None),
     ("key of escapes", has("controller", '"\\u001b[31m" = 1'), r"^controller.'.*31m' is not a known key", None),
     ("key without end", has("controller", "k" * 5000 + " = 1"), r"^controller.'kkk.*\.\.\. is not a known key", None),
     ("section missing", but("[lifting]\noutputs = 4\ninputs = 4\n", ""), r"^lifting must be a section, got not", "add"),
@@ -98,6 +102,44 @@ CONFIGURATIONS = [
         transfer("[1]", "[5e-324, 1]"),
         r"^\[plant\] system must have coefficients .*got",
         "scale",
+    ),
+    (
+        "transfer ragged",
+        transfer("[[[1]], [[1], [1]]]", "[1, 1]"),
+        r"^plant.num must have as many .*got \[1, 2\]",
+        None,
+    ),
+    ("transfer without", transfer("[[]]", "[1, 1]"), r"^plant.num must have as many lists .*got \[0\]", None),
+    (
+        "transfer's other shape",
+        transfer("[[[1], [1]]]", "[[[1, 1]]]"),
+        r"^plant.den must have 1 rows of 2 lists.*got \[\[\[1",
+        None,
+    ),
+    (
+        "a channel not proper",
+        transfer("[[[1], [1, 2]]]", "[1, 1]"),
+        r"^plant.den must have a higher .*got 2 and 2 coefficients from input 2 to output 1",
+        "append",
+    ),
+    (
+        "not proper in s",
+        transfer("[1, 2]", "[1, 1]", more="sampling = 0.1"),
+        r"^plant.den must have a higher .*got 2 and 2 coefficients",
+        "model the lag",
+    ),
+    (
+        "no channel at all",
+        transfer("[[[0], [0]]]", "[1, 1]"),
+        r"^\[plant\] system must respond .*got a transfer",
+        "check",
+    ),
+    ("sampling 0", transfer("[1]", "[1, 1]", more="sampling = 0"), r"^plant.sampling must be a pos.*got 0", None),
+    (
+        "sampling too long",
+        transfer("[1]", "[1, -1]", more="sampling = 1e6"),
+        r"^plant.sampling must be short .*got 1e\+06",
+        None,
     ),
     ("transfer's z0", transfer("[1]", "[1, 1]", "[1, 2]"), r"^plant.z0 must have 1 entries.*got 2", None),
     ("no ready plant", plant('kind = "ready"\nname = "cart"'), r"^plant.name must be one of cart-.*got 'cart'", None),
@@ -482,6 +524,45 @@ def test_runs_that_leave_the_range_keep_whole_rows(folder, capsys, text, k):
     assert cli.main(RUN) == cli.STOPPED
     assert capsys.readouterr().err.startswith(f"rhl: the run left the range of floating-point numbers at k = {k}: ")
     assert whole_rows("t.csv") == k
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("alpha = 1.0", "alpha = 1e308"), r"; controller\.alpha must be smaller, got 1e\+308; the"),
+        (
+            ("eps_rate = 100.0", "eps_rate = 1e308"),
+            r"; controller\.eps_rate must be smaller, got 1e\+308, which makes eps\(\d+\) 1e-300; the",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "power"\neps_rate = 1e308\neps_power = 2'),
+            r"; controller\.eps_rate or controller\.eps_power must be smaller, got 1e\+308 and 2, which",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "exponential"\neps_factor = 5e-324'),
+            r"; controller\.eps_factor must be larger, got 4.94066e-324, which",
+        ),
+        (
+            ("eps_rate = 100.0", 'eps = "constant"\neps_value = 5e-324'),
+            r"; controller\.eps_value must be larger, got 4.94066e-324, which makes eps\(0\) 4.94e-324; the 0 rows",
+        ),
+        (
+            ("eps_rate = 100.0", "eps_rate = 1e308\nadaptive = true"),
+            r"; controller\.eps_rate must be smaller, got 1e\+308, which makes eps\(\d+\) 1e-300; the",
+        ),
+        (
+            ("eps_rate = 100.0", "eps_rate = 100.0"),
+            r"k = 0: weight must be finite, got inf among its entries; the 0 rows",
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:Theorem 1 asks")
+def test_a_weight_that_leaves_the_range_names_its_key(folder, capsys, change, says):
+    """In the last row it is the state that does, and no key is blamed."""
+    far = "-1e160]" if change[0] == change[1] else "-1e6]"
+    Path("run.toml").write_text(but(*change).replace("-10]", far), encoding="utf-8")
+    assert cli.main(RUN) == cli.STOPPED
+    assert re.search(says, capsys.readouterr().err)
 
 
 def whole_rows(path):

@@ -2,6 +2,7 @@
 
 import tomllib
 
+import control
 import jsonschema
 import numpy as np
 import pytest
@@ -200,6 +201,23 @@ def test_refused(old, new, sentence, tmp_path):
     assert "\x1b" not in str(caught.value)
 
 
+def test_a_transfer_function_may_have_several_channels_and_be_in_continuous_time():
+    def plant(lines):
+        head, tail = LINEAR[: LINEAR.index('kind = "linear"')], LINEAR[LINEAR.index("[lifting]") :]
+        return read(f'{head}kind = "transfer-function"\n{lines}\n{tail}').plant.plant()[0]
+
+    num, den = [[[1.0], [2.0, 1.0]], [[0.0], [3.0]]], [[[1.0, -1.0], [1.0, 2.0, 5.0]], [[1.0], [1.0, -1.0, 0.0]]]
+    for more, dt, sampling in (("", True, None), ("sampling = 0.2", 0, 0.2)):
+        found = plant(f"num = {num}\nden = {den}\nz0 = [0, 0, 0, 0, 0]\n{more}")
+        wanted = LinearPlant.from_control(control.tf(num, den, dt), sampling)
+        for ours, theirs in zip((found.F, found.G, found.H), (wanted.F, wanted.G, wanted.H), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    shared = plant("num = [[[1], [2]], [[3], [4]]]\nden = [1, -1.1]\nz0 = [0, 0]")
+    np.testing.assert_allclose(shared.H @ shared.G, [[1, 2], [3, 4]], rtol=1e-12)
+    assert plant("num = [1]\nden = [1, 0]\nz0 = [0]\nsampling = 0.5").G == 0.5
+    assert plant("num = [1]\nden = [1, 0]\nz0 = [0]").G == 1.0
+
+
 @pytest.mark.parametrize(
     ("old", "new"), [("alpha = 1.0", "alpha = 2.0"), ("weight = 1.0", "weight = 2.0"), ("window = 8", "window = 7")]
 )
@@ -292,11 +310,28 @@ def test_the_schema_takes_what_the_parser_takes():
 
 VALUES = [
     *(True, 0, 1, -1, 2, 6, 7, 100, 101, 10_000, 10_001, 100_000, 100_001, 2**32 - 1, 2**32, 0.5, 1.5, -0.5, 5e-324),
-    *("", "?", "none", "search", "squares", "constant", "linear", "data", "lifted", "first", "sharp", "rough"),
-    *([], [[]], [1], [[1.0]], [["?"]], ["y1"], {}, {"a": 1}),
+    *(
+        "",
+        "?",
+        "a\nb",
+        "\x1b[31m",
+        "größe",
+        "none",
+        "search",
+        "squares",
+        "constant",
+        "linear",
+        "data",
+        "lifted",
+        "first",
+        "sharp",
+        "rough",
+    ),
+    *([], [[]], [1], [[1.0]], [["?"]], [[[1.0]]], ["y1"], {}, {"a": 1}),
 ]
 PLANTS = [
     {"kind": "transfer-function", "num": [1], "den": [1, 2], "z0": [1]},
+    {"kind": "transfer-function", "num": [[[1], []]], "den": [[[1, 2], [1, 3]]], "sampling": 0.1, "z0": [1]},
     {"kind": "ready", "name": "slow-mode"},
     {"kind": "robot-arm", "variant": "data", "z0": [1, 2, 3]},
     {"kind": "python", "file": "p.py", "n": 1, "q": 1, "z0": [1]},

@@ -126,6 +126,14 @@ def test_control_characters_are_shown():
     assert printable("größe: a\x1b[31m\nb\u202e") == "größe: a\\x1b[31m\\nb\\u202e"
 
 
+def test_a_folder_of_control_characters_is_shown_escaped(folder, capsys):
+    Path("a\x1b[31m").mkdir()
+    assert cli.main(["new", "a\x1b[31m/mine"]) == 0
+    assert capsys.readouterr().out.startswith(
+        "a\\x1b[31m/mine.toml runs as it is: rhl run a\\x1b[31m/mine.toml --output"
+    )
+
+
 def test_a_file_of_that_name_is_no_stream():
     assert [target_name(text) is STDOUT for text in ("-", "/dev/stdout", "./-", "/dev/null")] == [
         *(True, True, False, False)

@@ -102,16 +102,10 @@ def complex_system(kind):
     ("system", "sentence"),
     [
         (0.5, "system must be a control.StateSpace or a control.TransferFunction, got float; a plant of another"),
-        (control.tf([1], [1, 1]), r"in discrete time .* got dt=0; discretise .* control.sample_system\(system, Ts\)$"),
-        (
-            control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0),
-            r"got dt=0; .*sample_system\(system, Ts\)$",
-        ),
+        (control.tf([1], [1, 1]), r"in discrete time .* got dt=0; give .*from_control\(system, sampling=Ts\)$"),
+        (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0), r"got dt=0; .*sampling=Ts\)$"),
         (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], None), "got dt=None; say dt=True when making it"),
-        (
-            control.tf([[[1], [2]]], [[[1, 1], [1, 2]]]),
-            r"control.sample_system\(control.ss\(A, B, C, 0\), Ts\), in state space because",
-        ),
+        (control.tf([[[1], [2]]], [[[1, 1], [1, 2]]]), r"got dt=0; .*sampling=Ts\)$"),
         (
             control.ss([[1.0]], [[1.0]], [[1.0]], [[2.0]], 1),
             "must have D = 0 .* got a feedthrough; put one step",
@@ -132,6 +126,7 @@ def test_from_control_refuses(system, sentence):
     ("system", "name"),
     [
         (control.tf([1], [1, 1]), "Ts"),
+        (control.tf([[[1], [2]]], [[[1, 1], [1, 2]]]), "Ts"),
         (control.ss([[0.5]], [[1.0]], [[1.0]], [[2.0]], 0.1), "delay"),
         (control.ss(0.5 * np.eye(2), np.eye(2), np.eye(2), np.eye(2), 0.1), "delay"),
         (control.tf([1, 0, 0], [1, 0.5], 0.1), "multiply"),
@@ -141,14 +136,72 @@ def test_the_remedies_work(system, name):
     """What a message says to do is done, word for word, and the plant is taken."""
     with pytest.raises(InputError) as refusal:
         LinearPlant.from_control(system)
-    words = {"Ts": "it first with ", "delay": "before it with ", "multiply": "that channel with "}[name]
+    words = {"Ts": "as in ", "delay": "before it with ", "multiply": "that channel with "}[name]
     call = str(refusal.value).split(words)[1]
     call = f"system * {call}" if name == "multiply" else call
-    remedied = eval(call, {"control": control, "np": np, "system": system, "Ts": 0.1})
-    taken = LinearPlant.from_control(remedied)
+    names = {"control": control, "np": np, "system": system, "Ts": 0.1, "LinearPlant": LinearPlant}
+    remedied = eval(call, names)
+    taken = remedied if name == "Ts" else LinearPlant.from_control(remedied)
     if name != "Ts":
         delay = 2 if name == "multiply" else 1
         np.testing.assert_allclose(at(taken, 3.0) * 3.0**delay, np.reshape(system(3.0), (taken.p, taken.q)), rtol=1e-12)
+
+
+def responses(plant, count):
+    """Outputs after an impulse of each input, shape (count, p, q)."""
+    return np.array([plant.H @ np.linalg.matrix_power(plant.F, k) @ plant.G for k in range(count)])
+
+
+# The unstable pole at 1 is shared by three channels; one channel is zero; one has an integrator.
+CONTINUOUS = (
+    [[[1.0], [2.0, 1.0]], [[0.0], [3.0]]],
+    [[[1.0, -1.0], [1.0, 2.0, 5.0]], [[1.0], [1.0, -1.0, 0.0]]],
+)
+
+
+def test_several_channels_are_sampled_with_inputs_held():
+    """Each channel as python-control samples it alone; sampled at another rate or without holding it is another."""
+    taken = LinearPlant.from_control(control.tf(*CONTINUOUS), sampling=0.2)
+    alone = [
+        [
+            responses(LinearPlant.from_control(control.sample_system(control.tf(num, den), 0.2)), 12)[:, 0, 0]
+            if any(num)
+            else np.zeros(12)
+            for num, den in zip(*rows, strict=True)
+        ]
+        for rows in zip(*CONTINUOUS, strict=True)
+    ]
+    ours, theirs = responses(taken, 12), np.moveaxis(alone, -1, 0)
+    assert (taken.p, taken.q, taken.n) == (2, 2, 5)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-10, atol=1e-12)
+    other = responses(LinearPlant.from_control(control.tf(*CONTINUOUS), sampling=0.21), 12)
+    assert np.abs(other - ours).max() > 1e-2
+    impulses = control.sample_system(control.tf([1.0], [1.0, -1.0]), 0.2, method="backward_diff")
+    assert abs(impulses(2.0) - at(taken, 2.0)[0, 0]) > 1e-2
+
+
+def test_a_state_space_is_sampled_in_its_own_state():
+    A, B = np.array([[0.0, 1.0], [2.0, -0.3]]), np.array([[0.0], [1.0]])
+    system = control.ss(A, B, [[1.0, 0.0]], 0)
+    taken, theirs = LinearPlant.from_control(system, sampling=0.1), control.sample_system(system, 0.1)
+    np.testing.assert_allclose(taken.F, theirs.A, rtol=1e-12)
+    np.testing.assert_allclose(taken.G, theirs.B, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("system", "sampling", "sentence"),
+    [
+        (control.tf([1], [1, 1], 0.1), 0.1, "sampling must be left out for a system in discrete time, got 0.1"),
+        (control.tf([1], [1, 1]), 0, "sampling must be a positive finite number, got 0"),
+        (control.tf([1], [1, 1]), "fast", "sampling must be a positive finite number, got 'fast'"),
+        (control.tf([1], [1, -1]), 1e6, "sampling must be short enough .*got 1e.06"),
+        (control.tf([1, 0], [1, 1]), 0.1, "strictly proper .* got degree 1 over 1 .*; model the lag .*1 more of"),
+        (control.ss([[1.0]], [[1.0]], [[1.0]], [[2.0]]), 0.1, "D = 0 .* got a feedthrough; model the lag"),
+    ],
+)
+def test_sampling_refuses(system, sampling, sentence):
+    with pytest.raises(InputError, match=sentence):
+        LinearPlant.from_control(system, sampling)
 
 
 def test_observable_basis():
