@@ -234,11 +234,12 @@ def unit_free_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) ->
     ``p``, ``q`` and ``order`` are those of :func:`default_scheme`; ``inputs`` is a size of the inputs to begin with,
     see :class:`~rhl.units.RunningUnits`. What differs from ``default_scheme``, and why:
 
-    - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-8): a window of 2m transitions has fewer
-      equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer shows. Of
-      eighteen benchmark plants that an input can bring to rest, it is seven with the window and eighteen with this;
-    - weights count signals in sizes that the run shows (:class:`~rhl.units.RunningUnits`), since a weight that suits 0.05 rad
-      does not suit a column at 300 K. Without, it is twelve of the eighteen;
+    - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-8): a window of 2m transitions
+      has fewer equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer
+      shows. Of eighteen benchmark plants that an input can bring to rest, it is seven with the window and eighteen
+      with this;
+    - weights count signals in sizes that the run shows (:class:`~rhl.units.RunningUnits`), since a weight that suits
+      0.05 rad does not suit a column at 300 K. Without, it is twelve of the eighteen;
     - R = 1e-4 and eps(k) = 1/(1+k): inputs are cheap, and the terminal weight grows slowly while the estimate settles.
       Neither decides: with R = 1 or a hundred times the pace the same eighteen come to rest;
     - the initial model only moves outputs along, and input j moves output i by 1/(1 + |i - j|) of its size: the first
