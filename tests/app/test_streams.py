@@ -12,7 +12,7 @@ import pytest
 
 from rhl import _files
 from rhl.app import cli
-from rhl.app._streams import STDOUT, printable, target_name
+from rhl.app._streams import STDOUT, interruptible, printable, target_name
 from rhl.errors import InputError
 from rhl.paper.published import Experiment
 from tests.app.test_bad_files import GOOD, OWN, but, whole_rows
@@ -182,6 +182,11 @@ def test_pipes_are_written_into(folder):
     while time.monotonic() < deadline and not (Path("t.gz").exists() and Path("t.gz").stat().st_size > 100):
         time.sleep(0.02)
     assert len(gzip.decompress(Path("t.gz").read_bytes()).splitlines()) == 43
+    # A file that is open already is written into too, after what it holds.
+    Path("log.csv").write_text("before\n", encoding="utf-8")
+    assert shell(f"{RHL} run run.toml --output /dev/stderr 2>> log.csv")[0] == 0
+    first, *rows = Path("log.csv").read_text(encoding="utf-8").splitlines()
+    assert (first, len(rows)) == ("before", 43)
     os.mkfifo("pipe")
     assert shell(f"cat pipe > got.csv & {RHL} run run.toml --output pipe; wait")[0] == 0
     assert whole_rows("got.csv") == 42
@@ -279,6 +284,21 @@ def test_a_hangup_interrupts_unless_it_is_ignored(folder, ignored):
     rows = whole_rows("t.csv")
     assert process.returncode == cli.INTERRUPTED
     assert err == f"rhl: the run was interrupted at k = {rows}; the {rows} rows before it are in t.csv\n"
+
+
+def test_a_second_hangup_does_not_hit_the_writing():
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        with interruptible():
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGHUP)
+            try:
+                signal.raise_signal(signal.SIGHUP)
+            except KeyboardInterrupt:
+                pytest.fail("the second one interrupts too")
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_columns_say_how_wide_a_table_is(folder, capsys, monkeypatch):
