@@ -50,6 +50,9 @@ class LiveController:
 
     def __init__(self, scheme: Scheme, state: ControllerState | None = None) -> None:
         instance("scheme", scheme, Scheme)
+        if scheme.initial_model.A.ndim > 2:
+            batch = scheme.initial_model.A.shape[:-2]
+            raise InputError(f"scheme must be of one loop, got a batch of initial models of shape {batch}")
         if state is not None:
             instance("state", state, ControllerState)
         self.scheme, self.state = scheme, start(scheme) if state is None else _fits(scheme, state)

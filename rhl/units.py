@@ -11,6 +11,10 @@ from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 
+# An input is not taken to do less than this share of what was expected of its first size. One that does nothing would
+# else grow without end, as its estimated effect goes to zero; one that does 1e-7 is still cheap enough to be used.
+_LEAST_GAIN = 1e-6
+
 
 @dataclass(frozen=True, eq=False)
 class RunningUnits:
@@ -63,7 +67,7 @@ class RunningUnits:
         p = size.shape[-1]
         effect = np.abs(model.B[..., :p, :]).reshape(*model.B.shape[:-2], p, lifting.inputs, q).sum(axis=-2)
         gain = np.max(effect / _seen(size)[..., None], axis=-2)
-        v = np.where(gain > 0, gain, 1.0 / self._inputs(q))
+        v = np.where(gain > 0, np.maximum(gain, _LEAST_GAIN / self._inputs(q)), 1.0 / self._inputs(q))
         x = np.tile(1.0 / _seen(size), lifting.outputs)
         lead = np.broadcast_shapes(x.shape[:-1], v.shape[:-1])
         past = np.tile(v, lifting.inputs - 1)

@@ -115,6 +115,9 @@ def test_bad_files(tmp_path):
 
 
 def test_bad_parts():
+    batch = SignalModel(np.ones((3, 2, 2)), np.ones((3, 2, 2)))
+    with pytest.raises(InputError, match=r"scheme must be of one loop, got a batch of initial models of shape \(3,\)"):
+        LiveController(replace(SCHEMES[0], initial_model=batch))
     with pytest.raises(InputError, match="scheme must be a Scheme"):
         LiveController("scheme")
     with pytest.raises(InputError, match="state must be a ControllerState"):

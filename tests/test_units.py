@@ -117,6 +117,16 @@ def test_a_batch_is_its_members():
         assert np.abs(together.y[:, i] - alone.y).max() < 1e-6 * np.abs(alone.y).max()
 
 
+def test_an_input_that_does_nothing_stays_bounded():
+    """Its estimated effect goes to zero; were its size to grow as one over that, the run would leave float64."""
+    dead = LinearPlant([[1.1, 0.3], [0.0, 0.9]], [[0.5, 0.0], [1.0, 0.0]], [[1.0, 0.2]])
+    run = simulate(unit_free_scheme(1, 2, 2), dead, [1.0, -1.0], 100)
+    assert np.abs(run.y[-1]).max() < 1e-12
+    assert np.abs(run.v).max() < 1e5 * 0.1
+    alone = simulate(unit_free_scheme(1, 1, 2), LinearPlant([[0.5]], [[0.0]], [[1.0]]), [1.0], 100)
+    assert np.abs(alone.v).max() < 1e5 * 0.1
+
+
 def test_the_size_of_an_input_is_what_it_moves():
     scheme = unit_free_scheme(1, 1, 2)
     units, lifting = scheme.units, scheme.lifting

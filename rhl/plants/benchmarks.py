@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from rhl._checks import Array, describe, positive, read_only
+from rhl._checks import Array, describe, integer, positive, read_only
 from rhl.errors import InputError
 from rhl.plants.analysis import observability_index
 from rhl.plants.linear import LinearPlant
@@ -69,7 +69,10 @@ class Benchmark:
         n, q = self.B.shape
         whole = np.zeros((n + q, n + q))
         whole[:n, :n], whole[:n, n:] = self.A, self.B
-        found = expm(positive("h", h) * whole)
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = expm(positive("h", h) * whole)
+        if not np.all(np.isfinite(found)):
+            raise InputError(f"h must be short enough for {self.name} to stay finite from sample to sample, got {h:g}")
         return LinearPlant(found[:n, :n], found[:n, n:], self.C)
 
     def order(self, h: float = 0.1) -> int:
@@ -92,6 +95,7 @@ def names(largest: int = 30) -> tuple[str, ...]:
     >>> names(largest=4)
     ('ac3', 'ac8', 'dis2', 'he1', 'toy')
     """
+    integer("largest", largest, 1)
     return tuple(name for name, found in _data().items() if len(found["A"]) <= largest)
 
 

@@ -39,8 +39,11 @@ def weights(plant: LinearPlant, y0: Array, order: int) -> tuple[Array, Array]:
     what it moves outputs by within ``order`` steps, in these sizes.
     """
     size = np.where(np.abs(y0) > 0, np.abs(y0), np.max(np.abs(y0)))
-    if not np.all(size > 0):
-        raise InputError("y(0) must not be zero, since outputs count in its sizes, got zero; begin from another z0")
+    if not np.all((size > 1e-100) & (size < 1e100)):
+        raise InputError(
+            "y(0) must not be zero, and lie between 1e-100 and 1e100, since outputs count in its sizes, got "
+            f"{np.max(np.abs(y0)):.3g}; begin from another z0"
+        )
     effect, moved = np.zeros((plant.p, plant.q)), plant.G
     for _ in range(order):
         effect += np.abs(plant.H @ moved) / size[:, None]
@@ -72,7 +75,7 @@ def excite_identify_regulate(
     the first part are normal with standard deviation ``size``. The weights W and R are those of ``weights``.
     """
     positive("size", float(np.max(size)))
-    m, rng = integer("order", order, 1), np.random.default_rng(seed)
+    m, rng = integer("order", order, 1), np.random.default_rng(integer("seed", seed, 0))
     lifting, p, q = DelayLifting(m, m), plant.p, plant.q
     n, scale = p * m, np.concatenate([np.tile(np.sqrt(np.diag(W)), m), np.tile(1.0 / np.broadcast_to(size, q), m)])
     past: list[Array] = [np.zeros((m + 1, p)), np.zeros((m + 1, q))]

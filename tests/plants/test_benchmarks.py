@@ -85,7 +85,13 @@ def test_unknown_names(name, sentence):
         benchmark(name)
 
 
-@pytest.mark.parametrize("h", [0, -1, np.nan, "1"])
+@pytest.mark.parametrize("h", [0, -1, np.nan, "1", 1e6])
 def test_bad_sampling(h):
     with pytest.raises(InputError, match="h must be"):
-        benchmark("ac1").sampled(h)
+        benchmark("ac3").sampled(h)
+
+
+@pytest.mark.parametrize("largest", [0, 1.5, "a"])
+def test_bad_orders(largest):
+    with pytest.raises(InputError, match="largest must be an integer of at least 1"):
+        names(largest)
