@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rhl.model import PredictorMaps, SignalModel
     from rhl.plants import FunctionPlant, LinearPlant
     from rhl.schedules import PowerDecay
-    from rhl.scheme import Controller, Scheme, default_scheme, unit_free_scheme
+    from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
     from rhl.simulation import simulate
     from rhl.trace import Trace
     from rhl.units import RunningUnits
@@ -72,7 +72,7 @@ __all__ = [
     "solve",
     "start",
     "step",
-    "unit_free_scheme",
+    "window_scheme",
 ]
 __version__ = "0.1.0"
 

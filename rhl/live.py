@@ -40,8 +40,8 @@ class LiveController:
 
     Examples
     --------
-    >>> from rhl.scheme import unit_free_scheme
-    >>> controller, angle = LiveController(unit_free_scheme(p=1, q=1, order=1)), 1.0
+    >>> from rhl.scheme import default_scheme
+    >>> controller, angle = LiveController(default_scheme(p=1, q=1, order=1)), 1.0
     >>> for _ in range(20):
     ...     angle = 1.2 * angle + 0.5 * controller.step([angle])[0]
     >>> controller.state.k, bool(abs(angle) < 1e-3)

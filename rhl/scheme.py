@@ -208,8 +208,8 @@ class Scheme:
         return self.initial_model.q // self.lifting.inputs
 
 
-def default_scheme(p: int, q: int, order: int) -> Scheme:
-    r"""Return a scheme to begin with for outputs of size p and inputs of size q.
+def window_scheme(p: int, q: int, order: int) -> Scheme:
+    r"""Return a scheme of the form that the paper simulates, for outputs of size p and inputs of size q.
 
     ``order`` is an upper bound on the order of the plant's observable part. The scheme has :math:`N_y = N_v` = order
     (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit weights, a horizon of twice the
@@ -228,11 +228,12 @@ def default_scheme(p: int, q: int, order: int) -> Scheme:
     )
 
 
-def unit_free_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> Scheme:
-    r"""Return a scheme for plants of which nothing is known, not even the size of their signals.
+def default_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> Scheme:
+    r"""Return a scheme to begin with, for plants of which nothing is known, not even the size of their signals.
 
-    ``p``, ``q`` and ``order`` are those of :func:`default_scheme`; ``inputs`` is a size of the inputs to begin with,
-    see :class:`~rhl.units.RunningUnits`. What differs from ``default_scheme``, and why:
+    ``p`` and ``q`` are the numbers of outputs and inputs, and ``order`` is an upper bound on the plant's observability
+    index: that many of each are stacked (Lemma 6). ``inputs`` is a size of the inputs to begin with, see
+    :class:`~rhl.units.RunningUnits`. What differs from :func:`window_scheme`, and why:
 
     - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-8): a window of 2m transitions
       has fewer equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer

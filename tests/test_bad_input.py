@@ -28,7 +28,7 @@ from rhl.plants._realisation import observable_basis
 from rhl.plants.analysis import detectability, linearise, observable_part, rough_model, stabilizability
 from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
-from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.scheme import Controller, Scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 from tests.bad_input import faults, listing, refusal
@@ -449,7 +449,7 @@ API = [
         r"^the initial model must satisfy what is known .*got a violation of 1",
         "start",
     ),
-    ("order 0", lambda: default_scheme(1, 1, 0), r"^order must be an integer of at least 1, got 0", None),
+    ("order 0", lambda: window_scheme(1, 1, 0), r"^order must be an integer of at least 1, got 0", None),
     # disturbances
     ("bounds", lambda: Saturation(1.0, -1.0), r"^low must be below high .*got low 1.0 and high -1.0", None),
     (

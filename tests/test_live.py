@@ -14,14 +14,14 @@ from rhl import (
     SignalModel,
     default_scheme,
     simulate,
-    unit_free_scheme,
+    window_scheme,
 )
 from rhl.paper.published import linear_example
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
 Z0 = np.array([1.0, -1.0])
-ADAPTIVE = replace(default_scheme(1, 1, 2), controller=replace(default_scheme(1, 1, 2).controller, adaptive=True))
-SCHEMES = [default_scheme(1, 1, 2), unit_free_scheme(1, 1, 2), ADAPTIVE]
+ADAPTIVE = replace(window_scheme(1, 1, 2), controller=replace(window_scheme(1, 1, 2).controller, adaptive=True))
+SCHEMES = [window_scheme(1, 1, 2), default_scheme(1, 1, 2), ADAPTIVE]
 
 
 def driven(controller, z, steps, actuator=lambda v: v, applied=None):
@@ -66,7 +66,7 @@ def test_saved_and_restored_in_mid_run(scheme, tmp_path):
 
 
 def test_what_the_actuator_let_through_is_remembered():
-    scheme, clip = unit_free_scheme(1, 1, 2), Saturation(-0.7, 0.7)
+    scheme, clip = default_scheme(1, 1, 2), Saturation(-0.7, 0.7)
     expected = simulate(scheme, PLANT, Z0, 25, actuator=clip).v
     inputs, _, _ = driven(LiveController(scheme), Z0, 25, actuator=lambda v: clip(0, v))
     assert np.abs(inputs).max() == 0.7
@@ -79,7 +79,7 @@ def test_what_the_actuator_let_through_is_remembered():
 
 
 def test_a_bad_measurement_changes_nothing():
-    controller = LiveController(unit_free_scheme(1, 1, 2))
+    controller = LiveController(default_scheme(1, 1, 2))
     controller.step([1.0])
     before = controller.state
     for y in ([np.nan], [1.0, 2.0], 1.0, "1", [[1.0]]):
@@ -89,12 +89,12 @@ def test_a_bad_measurement_changes_nothing():
     with pytest.raises(InputError, match="applied must have shape"):
         controller.step([1.0], applied=[1.0, 2.0])
     with pytest.raises(InputError, match="applied must be left out at k = 0"):
-        LiveController(unit_free_scheme(1, 1, 2)).step([1.0], applied=[0.0])
+        LiveController(default_scheme(1, 1, 2)).step([1.0], applied=[0.0])
     assert repr(controller) == "LiveController(k = 1, p = 1, q = 1)"
 
 
 def test_bad_files(tmp_path):
-    scheme, path = unit_free_scheme(1, 1, 2), tmp_path / "state.npz"
+    scheme, path = default_scheme(1, 1, 2), tmp_path / "state.npz"
     with pytest.raises(InputError, match="must be a saved state, got: No such file"):
         LiveController.restore(scheme, path)
     for content in (b"", b"PK", b"k = 1", np.arange(3).tobytes()):
@@ -107,7 +107,7 @@ def test_bad_files(tmp_path):
     controller = LiveController(scheme)
     controller.step([1.0])
     controller.save(path)
-    for other in (unit_free_scheme(1, 1, 3), unit_free_scheme(2, 1, 2), default_scheme(1, 1, 2)):
+    for other in (default_scheme(1, 1, 3), default_scheme(2, 1, 2), window_scheme(1, 1, 2)):
         with pytest.raises(InputError, match="state must belong to the scheme"):
             LiveController.restore(other, path)
     with pytest.raises(InputError, match="must be a writable file"):

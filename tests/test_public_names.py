@@ -41,13 +41,13 @@ NAMES = [
     "V3",
     "advance",
     "closed_loop",
-    "default_scheme",
+    "window_scheme",
     "replay",
     "simulate",
     "solve",
     "start",
     "step",
-    "unit_free_scheme",
+    "default_scheme",
 ]
 
 

@@ -17,7 +17,7 @@ from rhl.losses import Entropy, LogCosh
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.scheme import Controller, Scheme, window_scheme
 from rhl.simulation import simulate
 
 NAN = np.nan
@@ -215,7 +215,7 @@ def test_what_an_own_mixing_raises_comes_through():
 
 @pytest.mark.parametrize(("p", "q", "order"), [(1, 1, 1), (1, 1, 3), (2, 3, 2), (2, 3, 6)])
 def test_default_is_what_it_says(p, q, order):
-    made = default_scheme(p, q, order)
+    made = window_scheme(p, q, order)
     n = p * order
     assert (made.p, made.q) == (p, q)
     assert (made.lifting.outputs, made.lifting.inputs, made.lifting.basis) == (order, order, None)
@@ -230,7 +230,7 @@ def test_default_is_what_it_says(p, q, order):
 
 def test_default_brings_an_unstable_plant_to_rest():
     plant = LinearPlant([[1.2, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
-    last = list(islice(closed_loop(default_scheme(1, 1, 2), plant, [1.0, -1.0]), 50))[-1]
+    last = list(islice(closed_loop(window_scheme(1, 1, 2), plant, [1.0, -1.0]), 50))[-1]
     assert np.linalg.norm(last.z) < 1e-3
     assert np.linalg.norm(np.linalg.matrix_power(plant.F, 50) @ [1.0, -1.0]) > 1e3
 
@@ -248,4 +248,4 @@ def test_other_estimators_close_the_loop_too(estimator):
 @pytest.mark.parametrize("sizes", [(0, 1, 1), (1, -1, 1), (1, 1, 1.5), (1, 1, True)])
 def test_default_refused(sizes):
     with pytest.raises(InputError, match=r"(p|q|order) must be an integer of at least 1, got"):
-        default_scheme(*sizes)
+        window_scheme(*sizes)

@@ -22,7 +22,7 @@ from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, default_scheme
+from rhl.scheme import Controller, Scheme, window_scheme
 from rhl.simulation import simulate
 
 SEED = 2010_05891
@@ -117,7 +117,7 @@ def member(plant, i):
 
 
 def test_two_hundred_random_plants_in_a_batch_are_two_hundred_runs():
-    plants, made = random_plants(200), default_scheme(1, 1, 3)
+    plants, made = random_plants(200), window_scheme(1, 1, 3)
     z0 = starts(plants, 200)
     together = simulate(made, plants, z0, 40)
     assert together.models is None
@@ -213,10 +213,10 @@ class Counting:
 
 def test_a_plant_moves_once_a_step_and_not_before():
     plant = Counting()
-    simulate(default_scheme(1, 1, 1), plant, [1.0], 7)
+    simulate(window_scheme(1, 1, 1), plant, [1.0], 7)
     assert plant.moved == 6
     plant = Counting()
-    next(closed_loop(default_scheme(1, 1, 1), plant, [1.0]))
+    next(closed_loop(window_scheme(1, 1, 1), plant, [1.0]))
     assert plant.moved == 0
 
 
@@ -365,7 +365,7 @@ def test_a_plant_that_brings_another_shape_is_refused():
     with pytest.raises(
         InputError, match=r"the plant's step must return a state of shape \(1,\), as z0 has, got \(2, 1\)"
     ):
-        simulate(default_scheme(1, 1, 1), Growing(), [1.0], 3)
+        simulate(window_scheme(1, 1, 1), Growing(), [1.0], 3)
 
 
 @pytest.mark.parametrize(
@@ -383,7 +383,7 @@ def test_an_output_of_another_kind_is_refused(found, sentence, lead):
             return found if found is None or not lead else [found, found]
 
     with pytest.raises(InputError, match=sentence.replace("(2,", "(2, 2" if lead else "(2,")):
-        simulate(default_scheme(1, 1, 1), Odd(), np.ones((*lead, 1)), 3)
+        simulate(window_scheme(1, 1, 1), Odd(), np.ones((*lead, 1)), 3)
 
 
 def test_a_batch_of_nothing_is_refused():

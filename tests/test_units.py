@@ -16,7 +16,7 @@ from rhl import (
     simulate,
     start,
     step,
-    unit_free_scheme,
+    window_scheme,
 )
 from rhl.basis import Polynomials
 from rhl.lifting import DelayLifting
@@ -42,10 +42,10 @@ def test_the_same_run_in_millimetres(seed):
     found, z0 = plant(seed)
     outputs = np.array([1e3, 2e-4])
     other = LinearPlant(found.F, found.G, outputs[:, None] * found.H)
-    run, changed = (simulate(unit_free_scheme(2, 2, 2), of, z0, STEPS) for of in (found, other))
+    run, changed = (simulate(default_scheme(2, 2, 2), of, z0, STEPS) for of in (found, other))
     assert gap(run, changed, outputs) < 1e-6
     # The control: weights that count in the units of the signals give another run.
-    run, changed = (simulate(default_scheme(2, 2, 2), of, z0, 12) for of in (found, other))
+    run, changed = (simulate(window_scheme(2, 2, 2), of, z0, 12) for of in (found, other))
     assert gap(run, changed, outputs) > 1e-2
 
 
@@ -54,10 +54,10 @@ def test_the_same_run_in_kilonewtons(seed):
     found, z0 = plant(seed)
     inputs = np.array([1e-3, 50.0])
     other = LinearPlant(found.F, found.G / inputs, found.H)
-    run = simulate(unit_free_scheme(2, 2, 2), found, z0, STEPS)
-    changed = simulate(unit_free_scheme(2, 2, 2, inputs=0.1 * inputs), other, z0, STEPS)
+    run = simulate(default_scheme(2, 2, 2), found, z0, STEPS)
+    changed = simulate(default_scheme(2, 2, 2, inputs=0.1 * inputs), other, z0, STEPS)
     assert gap(run, changed, 1.0, inputs) < 1e-6
-    assert gap(run, simulate(unit_free_scheme(2, 2, 2), other, z0, STEPS), 1.0, inputs) > 1e-2
+    assert gap(run, simulate(default_scheme(2, 2, 2), other, z0, STEPS), 1.0, inputs) > 1e-2
 
 
 def test_inputs_that_the_initial_model_cannot_tell_apart_are_parted_by_rounding():
@@ -65,7 +65,7 @@ def test_inputs_that_the_initial_model_cannot_tell_apart_are_parted_by_rounding(
     gaps = []
     for seed in range(6):
         found, z0 = plant(seed)
-        scheme = unit_free_scheme(2, 2, 2)
+        scheme = default_scheme(2, 2, 2)
         alike = replace(scheme, initial_model=replace_B(scheme.initial_model, np.sign(scheme.initial_model.B)))
         other = LinearPlant(found.F, found.G, 1e3 * found.H)
         gaps.append(gap(*(simulate(alike, of, z0, STEPS) for of in (found, other)), 1e3))
@@ -76,20 +76,20 @@ def test_an_output_that_is_zero_at_first_has_no_unit_either():
     found = LinearPlant([[1.1, 0.3], [0.0, 0.9]], [[0.2], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
     z0, outputs = [0.0, 1.0], np.array([1.0, 1e4])
     other = LinearPlant(found.F, found.G, outputs[:, None] * found.H)
-    run, changed = (simulate(unit_free_scheme(2, 1, 2), of, z0, STEPS) for of in (found, other))
+    run, changed = (simulate(default_scheme(2, 1, 2), of, z0, STEPS) for of in (found, other))
     assert run.y[0, 1] == 0.0
     assert gap(run, changed, outputs) < 1e-6
     assert np.abs(run.z[-1]).max() < 1e-6
 
 
 def test_a_plant_at_rest_stays_there():
-    run = simulate(unit_free_scheme(1, 1, 2), LinearPlant([[1.2]], [[1.0]], [[1.0]]), [0.0], 5)
+    run = simulate(default_scheme(1, 1, 2), LinearPlant([[1.2]], [[1.0]], [[1.0]]), [0.0], 5)
     assert np.all(run.v == 0.0)
 
 
 def test_steps_plans_and_weights_of_a_trace_are_those_taken():
     found, z0 = plant(3)
-    first = unit_free_scheme(2, 2, 2)
+    first = default_scheme(2, 2, 2)
     for scheme in (first, replace(first, controller=replace(first.controller, model_delay=1))):
         run, loop = simulate(scheme, found, z0, 15), closed_loop(scheme, found, z0)
         state = start(scheme)
@@ -111,24 +111,24 @@ def test_steps_plans_and_weights_of_a_trace_are_those_taken():
 def test_a_batch_is_its_members():
     plants = [plant(seed, radius=0.9 + 0.1 * seed) for seed in range(4)]
     batch = LinearPlant(*(np.stack([getattr(of, name) for of, _ in plants]) for name in "FGH"))
-    together = simulate(unit_free_scheme(2, 2, 2), batch, np.stack([z0 for _, z0 in plants]), 40)
+    together = simulate(default_scheme(2, 2, 2), batch, np.stack([z0 for _, z0 in plants]), 40)
     for i, (of, z0) in enumerate(plants):
-        alone = simulate(unit_free_scheme(2, 2, 2), of, z0, 40)
+        alone = simulate(default_scheme(2, 2, 2), of, z0, 40)
         assert np.abs(together.y[:, i] - alone.y).max() < 1e-6 * np.abs(alone.y).max()
 
 
 def test_an_input_that_does_nothing_stays_bounded():
     """Its estimated effect goes to zero; were its size to grow as one over that, the run would leave float64."""
     dead = LinearPlant([[1.1, 0.3], [0.0, 0.9]], [[0.5, 0.0], [1.0, 0.0]], [[1.0, 0.2]])
-    run = simulate(unit_free_scheme(1, 2, 2), dead, [1.0, -1.0], 100)
+    run = simulate(default_scheme(1, 2, 2), dead, [1.0, -1.0], 100)
     assert np.abs(run.y[-1]).max() < 1e-12
     assert np.abs(run.v).max() < 1e5 * 0.1
-    alone = simulate(unit_free_scheme(1, 1, 2), LinearPlant([[0.5]], [[0.0]], [[1.0]]), [1.0], 100)
+    alone = simulate(default_scheme(1, 1, 2), LinearPlant([[0.5]], [[0.0]], [[1.0]]), [1.0], 100)
     assert np.abs(alone.v).max() < 1e5 * 0.1
 
 
 def test_the_size_of_an_input_is_what_it_moves():
-    scheme = unit_free_scheme(1, 1, 2)
+    scheme = default_scheme(1, 1, 2)
     units, lifting = scheme.units, scheme.lifting
     model = replace_B(scheme.initial_model, [[0.5, -1.5], [0.0, 0.0]])
     of_x, of_v = units.weights(model, lifting, np.array([4.0]), 1)
@@ -147,14 +147,14 @@ def test_bad_sizes(inputs):
 
 
 def test_bad_schemes():
-    scheme = unit_free_scheme(2, 2, 2)
+    scheme = default_scheme(2, 2, 2)
     with pytest.raises(InputError, match="units must have one size for inputs, or 2, one for each input, got 3"):
         replace(scheme, units=RunningUnits([1.0, 1.0, 1.0]))
     with pytest.raises(InputError, match="units must be a RunningUnits, got 1"):
         replace(scheme, units=1)
     with pytest.raises(InputError, match="units need an estimator whose weight counts in them: GrowingMemory"):
-        replace(default_scheme(2, 2, 2), units=RunningUnits())
-    terms = default_scheme(1, 1, 1)
+        replace(window_scheme(2, 2, 2), units=RunningUnits())
+    terms = window_scheme(1, 1, 1)
     lifting = DelayLifting(1, 1, Polynomials(2))
     model = type(terms.initial_model)(np.eye(2), np.ones((2, 1)))
     with pytest.raises(InputError, match="units must be None where a lifting appends basis functions"):

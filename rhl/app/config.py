@@ -33,7 +33,7 @@ from rhl.plants import LinearPlant, Plant
 from rhl.plants.analysis import linearise, observability_index
 from rhl.plants.benchmarks import benchmark, names
 from rhl.plants.examples import EXAMPLES, example
-from rhl.scheme import Scheme, unit_free_scheme
+from rhl.scheme import Scheme, default_scheme
 
 # The sections that stand in a file without the key order, and those that may not stand beside it.
 _NEEDED = ("lifting", "estimator", "controller")
@@ -84,7 +84,7 @@ class Config(Section):
             raise InputError(
                 f"input_size must be a number or have {plant.q} entries, one for each input, got {len(given)}"
             )
-        return unit_free_scheme(plant.p, plant.q, self.order, size)
+        return default_scheme(plant.p, plant.q, self.order, size)
 
     def _scheme(self, plant: Plant) -> Scheme:
         with _under("lifting"):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, instance, integer, real_array
 from rhl.errors import DivergedError, InputError
 from rhl.plants.linear import LinearPlant
-from rhl.scheme import Scheme, default_scheme, unit_free_scheme
+from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.study.rivals import Run, excite_identify_regulate, known_plant, weights
 
@@ -20,7 +20,7 @@ _REST, _LAST = 0.05, 20
 _SETTLED = 0.01
 
 
-METHODS = ("the plant known", "excite, identify, regulate", "default_scheme", "unit_free_scheme")
+METHODS = ("the plant known", "excite, identify, regulate", "window_scheme", "default_scheme")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
     """Run a plant under each method and judge them.
 
     The ``METHODS``: the regulator that knows the plant (the least cost there is), a regulator that excites, identifies
-    and regulates (inputs of size 0.1 at first, as the scheme's), ``default_scheme``, and ``unit_free_scheme``. But for
+    and regulates (inputs of size 0.1 at first, as the scheme's), ``window_scheme``, and ``default_scheme``. But for
     the first they are told the sizes of y and v and ``order``, an upper bound on the observability index. There is no
     noise. Inputs while exciting count as any others.
 
@@ -67,7 +67,7 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
     --------
     >>> scores = compare(LinearPlant([[1.2]], [[1.0]], [[1.0]]), [1.0], order=1, steps=60)
     >>> [(score.method, score.at_rest) for score in scores][-1]
-    ('unit_free_scheme', True)
+    ('default_scheme', True)
     """
     instance("plant", plant, LinearPlant)
     z, m = real_array("z0", z0, (plant.n,)), integer("order", order, 1)
@@ -78,8 +78,8 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
     runs = (
         known_plant(plant, z, steps, W, R),
         excite_identify_regulate(plant, z, steps, m, W, R, size=0.1, seed=seed),
+        _simulated(window_scheme(plant.p, plant.q, m), plant, z, steps),
         _simulated(default_scheme(plant.p, plant.q, m), plant, z, steps),
-        _simulated(unit_free_scheme(plant.p, plant.q, m), plant, z, steps),
     )
     least = _cost(runs[0], W, R)
     return tuple(_judged(name, run, _cost(run, W, R) / least) for name, run in zip(METHODS, runs, strict=True))

@@ -13,7 +13,7 @@ from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import LinearPlant, RobotArm
-from rhl.scheme import default_scheme, unit_free_scheme
+from rhl.scheme import default_scheme, window_scheme
 from rhl.simulation import simulate
 
 LINEAR = """\
@@ -292,7 +292,7 @@ def test_what_has_an_effect_is_heeded():
 
 
 def test_a_template_has_the_settings_of_the_default_scheme():
-    file, default = read(template("mine")).experiment().scheme, default_scheme(1, 1, 2)
+    file, default = read(template("mine")).experiment().scheme, window_scheme(1, 1, 2)
     assert file.estimator.window == default.estimator.window
     assert file.estimator.generator.weight == default.estimator.generator.weight
     assert file.controller.horizon == default.controller.horizon
@@ -366,10 +366,10 @@ def test_an_order_chooses_the_scheme():
     found = read(ORDER).experiment()
     trace = found.run()
     plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
-    assert np.array_equal(trace.v, simulate(unit_free_scheme(1, 1, 2), plant, [1.0, -1.0], 80).v)
+    assert np.array_equal(trace.v, simulate(default_scheme(1, 1, 2), plant, [1.0, -1.0], 80).v)
     assert np.abs(trace.z[-1]).max() < 1e-6
     other = read(ORDER.replace("order = 2", "order = 2\ninput_size = 0.5")).experiment().run()
-    assert np.array_equal(other.v, simulate(unit_free_scheme(1, 1, 2, 0.5), plant, [1.0, -1.0], 80).v)
+    assert np.array_equal(other.v, simulate(default_scheme(1, 1, 2, 0.5), plant, [1.0, -1.0], 80).v)
     assert not np.array_equal(other.v, trace.v)
 
 

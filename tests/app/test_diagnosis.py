@@ -19,11 +19,11 @@ from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.examples import example
 from rhl.schedules import Constant
-from rhl.scheme import default_scheme
+from rhl.scheme import window_scheme
 from rhl.simulation import simulate
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
-SCHEME = default_scheme(1, 1, 2)
+SCHEME = window_scheme(1, 1, 2)
 
 
 def verdicts(diagnosis):
@@ -196,7 +196,7 @@ def test_lost_margins_are_named_with_their_step():
 def test_a_run_that_stopped_early_can_be_looked_at():
     far = LinearPlant([[1e40]], [[0.0]], [[1.0]])
     with pytest.raises(DivergedError) as caught:
-        simulate(default_scheme(1, 1, 1), far, [1.0], 50)
+        simulate(window_scheme(1, 1, 1), far, [1.0], 50)
     found = diagnose_run(caught.value.trace)
     assert "Theorem 3, state and input go to zero" in unmet(found)
 

@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from rhl import InputError, simulate, unit_free_scheme
+from rhl import InputError, default_scheme, simulate
 from rhl.plants.analysis import detectability, stabilizability
 from rhl.plants.benchmarks import benchmark, names
 
@@ -62,10 +62,10 @@ def test_parts_are_read_only():
 
 
 @pytest.mark.parametrize("name", names(largest=10))
-def test_the_unit_free_scheme_brings_it_to_rest(name):
+def test_the_default_scheme_brings_it_to_rest(name):
     found = benchmark(name)
     plant = found.sampled()
-    trace = simulate(unit_free_scheme(plant.p, plant.q, found.order()), plant, found.z0, 400)
+    trace = simulate(default_scheme(plant.p, plant.q, found.order()), plant, found.z0, 400)
     size = np.abs(trace.y).max(axis=1) / np.abs(trace.y[0]).max()
     assert bool(np.all(size[-20:] < 0.05)) == (name not in LOST)
     assert bool(size.max() < 100) == (name not in LOST)

@@ -18,7 +18,7 @@ def by_method(scores):
 
 def test_a_plant_that_all_bring_to_rest():
     scores = by_method(compare(PLANT, Z0, 2, 80))
-    assert list(scores) == ["the plant known", "excite, identify, regulate", "default_scheme", "unit_free_scheme"]
+    assert list(scores) == ["the plant known", "excite, identify, regulate", "window_scheme", "default_scheme"]
     assert all(score.at_rest for score in scores.values())
     assert scores["the plant known"].cost == 1.0
     assert all(score.cost > 1.0 for name, score in scores.items() if name != "the plant known")
@@ -35,16 +35,16 @@ def test_what_no_input_reaches_is_not_at_rest():
 
 def test_a_run_that_diverges_is_infinite():
     scores = by_method(compare(LinearPlant([[1e9]], [[1e-12]], [[1.0]]), [1.0], 1, 60))
-    lost = scores["default_scheme"]
+    lost = scores["window_scheme"]
     assert (lost.at_rest, lost.peak, lost.cost, lost.settled_at) == (False, np.inf, np.inf, None)
 
 
-def test_scores_of_the_unit_free_scheme_have_no_unit():
+def test_scores_of_the_default_scheme_have_no_unit():
     other = LinearPlant(PLANT.F, PLANT.G, 1e3 * PLANT.H)
     one, two = (by_method(compare(of, Z0, 2, 60)) for of in (PLANT, other))
-    free = "unit_free_scheme"
+    free = "default_scheme"
     assert np.allclose(astuple(one[free])[2:5], astuple(two[free])[2:5], rtol=1e-6)
-    assert not np.isclose(one["default_scheme"].cost, two["default_scheme"].cost, rtol=1e-2)
+    assert not np.isclose(one["window_scheme"].cost, two["window_scheme"].cost, rtol=1e-2)
 
 
 @pytest.mark.parametrize(
