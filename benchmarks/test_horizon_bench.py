@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from rhl.controllability import LambdaSearch
-from rhl.horizon import V1, V2, V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
+from rhl.problems import V1, V2, V3
 
 SEED = 2010_05891
 BATCH = 200

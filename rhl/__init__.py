@@ -20,12 +20,13 @@ if TYPE_CHECKING:
         RHLError,
     )
     from rhl.estimator import ProximalEstimator
-    from rhl.horizon import V1, V2, V3, Plan, solve
+    from rhl.horizon import Plan, solve
     from rhl.lifting import DelayLifting
     from rhl.live import LiveController
     from rhl.memory import GrowingMemory
     from rhl.model import PredictorMaps, SignalModel
     from rhl.plants import FunctionPlant, LinearPlant
+    from rhl.problems import V1, V2, V3
     from rhl.schedules import PowerDecay
     from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
     from rhl.simulation import simulate

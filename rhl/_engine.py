@@ -34,10 +34,15 @@ class Block:
 
 
 def serves(scheme: Scheme) -> bool:
-    """Whether the compiled loop runs it: squares, no constraints, constant mixing, a weight that grows with k."""
+    """Whether the compiled loop runs it: squares, no constraints, constant mixing, a weight that grows with k, no more.
+
+    Bounds, set points and running units are not in it.
+    """
     # Only these classes themselves: what is derived from them may do otherwise.
     own = type(scheme.lifting) is DelayLifting and type(scheme.mixing) is ConstantMixing
-    return own and scheme.estimator.by_rows and not scheme.controller.adaptive
+    controller = scheme.controller
+    more = (controller.bounds, scheme.set_point, scheme.units)
+    return own and scheme.estimator.by_rows and not controller.adaptive and all(part is None for part in more)
 
 
 def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Array] | None, z: Array) -> list[Block]:

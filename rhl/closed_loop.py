@@ -14,13 +14,15 @@ from rhl._checks import Array, describe, instance, numbers, real_array
 from rhl.controllability import chosen
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
-from rhl.horizon import V1, Plan, first_input, solve
+from rhl.horizon import Plan, first_input, solve
 from rhl.lifting import remember
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.plants.base import Plant, check_plant
 from rhl.plants.linear import LinearPlant
+from rhl.problems import V1
 from rhl.scheme import Scheme
+from rhl.tracking import seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class ControllerState:
     value : array, shape (...), or None
         V1 at k-1, where the weight is adaptive.
     size : array, shape (..., p), or None
-        The largest of each output before k, where weights count in running units.
+        The largest of each output before k, where weights count in running units; its distance from a set point.
     data : array, shape (..., n + N_v q, 2 n + N_v q), or None
         The memory of ``GrowingMemory`` before k.
     """
@@ -72,7 +74,7 @@ class Step:
     y : array, shape (..., p)
         Output measured.
     v_computed : array, shape (..., q)
-        Input computed, ``plan.u[..., 0, :]``.
+        Input computed, ``plan.u[..., 0, :]``; with a set point that is its increment.
     v_applied : array, shape (..., q)
         Input applied: the one computed, unless an actuator changed it.
     estimate : SignalModel
@@ -116,10 +118,12 @@ class Step:
         """Prediction of y(k) made at k-1, the first entries of A x(k-1) + B u(k-1); y(0) at k = 0."""
         if self.k == 0:
             return self.y
-        lifting, state = self.scheme.lifting, self.state
-        x, u = lifting.lift(state.y, 1)[..., 0, :], lifting.window(state.v, lifting.inputs, 1)[..., 0, :]
+        scheme, lifting, state = self.scheme, self.scheme.lifting, self.state
+        y, v = seen(scheme.set_point, self.k - 1, state.y, state.v)
+        x, u = lifting.lift(y, 1)[..., 0, :], lifting.window(v, lifting.inputs, 1)[..., 0, :]
         with np.errstate(over="ignore", invalid="ignore"):
-            return state.model.step(x, u)[..., : self.scheme.p]
+            predicted = state.model.step(x, u)[..., : scheme.p]
+            return predicted if scheme.set_point is None else predicted + scheme.set_point.at(self.k - 1, scheme.p)
 
     @property
     def used(self) -> SignalModel:
@@ -139,14 +143,22 @@ class Step:
     def problem(self) -> V1:
         """What was solved at k, equation (3) for the augmented model."""
         scheme = self.scheme
-        x = scheme.lifting.augmented_state(remember(self.state.y, self.y), self.state.v)
-        return scheme.controller.problem(scheme.lifting.augment(self.used), x, self.stage, self._sizes)
+        before = None if scheme.set_point is None else self.state.v[..., 0, :]
+        model = scheme.lifting.augment(self.used)
+        return scheme.controller.problem(model, self._augmented_state, self.stage, self._sizes, before)
+
+    @property
+    def _augmented_state(self) -> Array:
+        y, v = seen(self.scheme.set_point, self.k, remember(self.state.y, self.y), self.state.v)
+        return self.scheme.lifting.augmented_state(y, v)
 
     @cached_property
     def plan(self) -> Plan:
-        """Its solution, worked out when asked for; ``plan.x[..., 0, :]`` is the augmented state X(k)."""
-        scheme = self.scheme
-        return solve(self.problem, scheme.lifting.augmented_state(remember(self.state.y, self.y), self.state.v))
+        """Its solution, worked out when asked for; ``plan.x[..., 0, :]`` is the augmented state X(k).
+
+        With a set point, ``plan.u`` are increments of the input, and ``plan.x`` counts outputs from it.
+        """
+        return solve(self.problem, self._augmented_state)
 
 
 def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64) -> None:
@@ -220,15 +232,18 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     lifting, estimator, controller = scheme.lifting, scheme.estimator, scheme.controller
     lead = np.broadcast_shapes(y.shape[:-1], state.y.shape[:-2], state.v.shape[:-2])
     y_history = remember(state.y, np.broadcast_to(y, (*lead, scheme.p)))
-    v_history = np.broadcast_to(state.v, (*lead, *state.v.shape[-2:]))
+    applied = np.broadcast_to(state.v, (*lead, *state.v.shape[-2:]))
+    y_history, v_history = seen(scheme.set_point, state.k, y_history, applied)
     x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
     size = None if state.size is None else np.maximum(state.size, np.abs(y_history[..., 0, :]))
     centre, data = _centre(scheme, state, size), state.data
+    counted = None if scheme.units is None else scheme.units.parameters(lifting, cast(Array, size), scheme.q)
     if isinstance(estimator, GrowingMemory):
         data = remembered(scheme, state, x, u)
-        counted = None if scheme.units is None else scheme.units.parameters(lifting, cast(Array, size), scheme.q)
         estimate = estimator.minimise(centre, data, counted)
+    elif counted is not None and scheme.units is not None:
+        estimate = scheme.units.estimated(estimator, centre, x, u, state.k, counted)
     else:
         estimate = estimator.minimise(centre, x, u, state.k)
     lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
@@ -241,15 +256,25 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
         (of_x, of_v), (Q, R, QN) = sizes, factors
         factors = Q * of_x[..., None, :], R * of_v[..., None, :], QN * of_x[..., None, :]
         counts = of_x * X
-    weight = real_array("weight", controller.weight(counts, stage))
-    v = first_input(used, factors, controller.horizon, weight, X)
+    before = None if scheme.set_point is None else applied[..., 0, :]
+
+    def planned(stage: np.ndarray) -> Array:
+        if controller.bounds is not None:
+            v = solve(controller.problem(used, X, stage, sizes, before), X).u[..., 0, :]
+        else:
+            weight = real_array("weight", controller.weight(counts, stage))
+            v = first_input(used, factors, controller.horizon, weight, X)
+        v = v if before is None else before + v
+        # The solver keeps bounds to its tolerance, an actuator to the last bit.
+        return v if controller.bounds is None else controller.bounds(state.k, v)
+
+    v = planned(stage)
     taken = Step(scheme, state, y, v, v, estimate, model, lam, stage, size=size, data=data)
     if controller.adaptive and state.value is not None:
         value = taken.plan.value
         stuck = (value >= state.value) & (value > 0)
         if np.any(stuck):
-            weight = real_array("weight", controller.weight(counts, stage + stuck))
-            v = first_input(used, factors, controller.horizon, weight, X)
+            v = planned(stage + stuck)
             taken = replace(taken, v_computed=v, v_applied=v, stage=stage + stuck)
     return taken
 
@@ -275,6 +300,7 @@ def closed_loop(
     *,
     sensor: Disturbances | None = None,
     actuator: Disturbances | None = None,
+    load: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Iterator[Step]:
     """Run the scheme on a plant and yield a step for each k = 0, 1, ..., as long as the caller asks for them.
@@ -290,6 +316,8 @@ def closed_loop(
         Initial state z(0); leading axes run that many loops at once.
     sensor, actuator : callable or tuple of callables, optional
         (k, y) -> the output as it is measured, and (k, v) -> the input as it is applied, see ``rhl.disturbances``.
+    load : callable or tuple of callables, optional
+        (k, v) -> what reaches the plant of the input applied; the scheme is never told.
     applied_known : bool
         Whether the scheme remembers the input that was applied (as whoever knows the actuator can), or the one that it
         computed.
@@ -302,7 +330,7 @@ def closed_loop(
         If a number leaves the range of float64, in any member of a batch.
     """
     z = check_loop(scheme, plant, z0, applied_known)
-    return _run(scheme, plant, z, sensor, actuator, applied_known)
+    return _run(scheme, plant, z, sensor, actuator, load, applied_known)
 
 
 def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
@@ -359,6 +387,7 @@ def _run(
     z: Array,
     sensor: Disturbances | None,
     actuator: Disturbances | None,
+    load: Disturbances | None,
     applied_known: bool,
 ) -> Iterator[Step]:
     state = start(scheme)
@@ -366,7 +395,7 @@ def _run(
         computed = step(scheme, state, through("sensor", sensor, state.k, output(plant, z, state.k)))
         done = replace(computed, z=z, v_applied=through("actuator", actuator, state.k, computed.v_computed))
         yield done
-        z = moved(plant, z, done.v_applied)
+        z = moved(plant, z, through("load", load, state.k, done.v_applied))
         if not np.all(np.isfinite(z)):
             raise DivergedError(done.k + 1, "the plant's state is no longer finite")
         state = advance(scheme, done, done.v_applied if applied_known else done.v_computed)

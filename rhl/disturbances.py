@@ -117,6 +117,38 @@ class Outliers:
         return y + np.where(hit, sign * self.size, 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Offset:
+    """A constant that is added to a signal from some step on: a load on the plant's input, a sensor's bias.
+
+    Parameters
+    ----------
+    value : float or array_like, shape (size,)
+        The constant, in the units of the signal.
+    start : int
+        The first k at which it is there, at least 0.
+
+    Examples
+    --------
+    >>> Offset(0.5, start=10)(9, np.array([1.0])), Offset(0.5, start=10)(10, np.array([1.0]))
+    (array([1.]), array([1.5]))
+    """
+
+    value: Array | float
+    start: int = 0
+
+    def __post_init__(self) -> None:
+        value = real_array("value", self.value)
+        if value.ndim > 1 or value.size == 0:
+            raise InputError(f"value must be a number or one for each entry of the signal, got shape {value.shape}")
+        object.__setattr__(self, "value", value)
+        integer("start", self.start, 0)
+
+    def __call__(self, k: int, signal: Array) -> Array:
+        """Return the signal with the constant, shape (..., size)."""
+        return signal + _one_each("value", self.value, signal, "entry") if k >= self.start else signal
+
+
 def _one_each(name: str, value: Array | float, signal: Array, of: str) -> Array:
     found, size = np.asarray(value), np.shape(signal)[-1]
     if found.ndim and len(found) != size:
@@ -128,8 +160,8 @@ def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) 
     """Pass y or v, shape (..., size), through a disturbance, the user's own too, and check what comes out.
 
     Each of a tuple of disturbances is fed by the one before; None passes the signal as it is. ``name`` is what messages
-    call it, "sensor" or "actuator". InputError if the shape changes or a number is not finite. What a disturbance of
-    the user's own raises is let through, with a note where it was called.
+    call it, "sensor", "actuator" or "load". InputError if the shape changes or a number is not finite. What a
+    disturbance of the user's own raises is let through, with a note where it was called.
     """
     if disturbance is None:
         return signal

@@ -1,4 +1,4 @@
-"""The finite-horizon problems V1, V2 and V3, as data, and one accurate solver for all three."""
+"""One accurate solver for the finite-horizon problems V1, V2 and V3."""
 
 from __future__ import annotations
 
@@ -7,118 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, common_batch, instance, integer, positive, read_only, real_array, weight_matrix
+from rhl._bounded import pushes
+from rhl._checks import Array, common_batch, instance, positive, read_only, real_array
 from rhl._riccati import gains, rollout, truncated_min_norm
-from rhl.errors import InfeasibleError, InputError, NotFiniteError
+from rhl.errors import InfeasibleError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
-
-Predictor = SignalModel | PredictorMaps
+from rhl.problems import V1, V2, V3, InputBounds, Predictor, Problem
 
 # V3 is infeasible if the terminal state misses r by more than this share of max(|x|, |r|) and of what x grows to.
 _FEASIBLE_RTOL = 1e-9
 
+# An input counts as at its bound within this share of the bounds' width: the root of what the solver is asked for.
+_AT_BOUND = 1e-5
+
 # Terminal rows whose singular value is below this share of the largest are rounding.
 _HELD_RTOL = 1e-13
-
-
-@dataclass(frozen=True, eq=False)
-class V1:
-    r"""The problem that the scheme solves at every step, equation (3).
-
-    .. math::
-        V_1 = \min \sum_{i=0}^{N-1} x_i^\top Q x_i + u_i^\top R u_i + \frac{\Gamma(x)}{\epsilon} x_N^\top Q_N x_N
-
-    Parameters
-    ----------
-    model : SignalModel or PredictorMaps
-        Predictor; a signal model stands for its powers, equation (21).
-    Q, QN : float or array_like, shape (n, n)
-        Stage and terminal weight, symmetric positive definite (Assumption 3); a number is that times the identity.
-    R : float or array_like, shape (q, q)
-        Input weight, symmetric positive definite.
-    weight : array_like, shape (...)
-        Gamma(x)/eps(k), nonnegative.
-    horizon : int
-        N, at least 1.
-
-    Examples
-    --------
-    >>> plan = solve(V1(SignalModel([[1.0]], [[1.0]]), Q=1.0, R=1.0, QN=1.0, weight=1e9, horizon=2), [1.0])
-    >>> bool(abs(plan.x[-1, 0]) < 1e-8)  # the terminal state is dear
-    True
-    """
-
-    model: Predictor
-    Q: Array | float
-    R: Array | float
-    QN: Array | float
-    weight: Array | float
-    horizon: int
-
-    def __post_init__(self) -> None:
-        _check_horizon(self.model, self.horizon)
-        for name, size in (("Q", self.model.n), ("R", self.model.q), ("QN", self.model.n)):
-            object.__setattr__(self, name, weight_matrix(name, getattr(self, name), size))
-        weight = real_array("weight", self.weight)
-        if np.any(weight < 0):
-            raise InputError(f"weight must be nonnegative, got {weight.min()}")
-        object.__setattr__(self, "weight", weight)
-
-
-@dataclass(frozen=True, eq=False)
-class V2:
-    r"""How close to zero the terminal state can be brought, equation (10).
-
-    .. math:: V_2 = \min\; \xi_N^\top Q_N \xi_N
-
-    Its solution is not unique; solved for is the one of least :math:`\sum_i |\xi_i|^2 + |\nu_i|^2`
-    (proof of Lemma 1(b)). The parameters are those of :class:`V1`.
-
-    Examples
-    --------
-    >>> half_reached = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[1.0], [0.0]])
-    >>> float(solve(V2(half_reached, QN=1.0, horizon=2), [5.0, 3.0]).value.round(12))  # the 3 stays, whatever u
-    9.0
-    """
-
-    model: Predictor
-    QN: Array | float
-    horizon: int
-
-    def __post_init__(self) -> None:
-        _check_horizon(self.model, self.horizon)
-        object.__setattr__(self, "QN", weight_matrix("QN", self.QN, self.model.n))
-
-
-@dataclass(frozen=True, eq=False)
-class V3:
-    r"""The problem with a terminal equality, equation (11).
-
-    .. math:: V_3 = \min \sum_{i=0}^{N-1} \xi_i^\top Q \xi_i + \nu_i^\top R \nu_i \quad\text{s.t. } \xi_N = r
-
-    The parameters are those of :class:`V1`, and r, shape (..., n), the terminal state asked for.
-
-    Examples
-    --------
-    >>> plan = solve(V3(SignalModel([[1.0]], [[1.0]]), Q=1.0, R=1.0, r=[2.0], horizon=3), [0.0])
-    >>> bool(abs(plan.x[-1, 0] - 2.0) < 1e-12)
-    True
-    """
-
-    model: Predictor
-    Q: Array | float
-    R: Array | float
-    r: Array
-    horizon: int
-
-    def __post_init__(self) -> None:
-        _check_horizon(self.model, self.horizon)
-        object.__setattr__(self, "Q", weight_matrix("Q", self.Q, self.model.n))
-        object.__setattr__(self, "R", weight_matrix("R", self.R, self.model.q))
-        object.__setattr__(self, "r", real_array("r", self.r, (self.model.n,)))
-
-
-Problem = V1 | V2 | V3
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,8 +64,10 @@ class Plan:
         """Recompute the optimality conditions from the problem; return their largest relative violation, shape (...).
 
         The largest of: how far x is from the prediction (5) under u; how far the gradient of the objective along
-        feasible directions is from zero; in V3, how far x_N is from r. Each is relative to the sum of the absolute
-        values of the terms that cancel in it, so that about 1e-15 is the best there is.
+        feasible directions is from zero; in V3, how far x_N is from r; with bounds, how far the inputs are outside of
+        them, relative to their width. Each other one is relative to the sum of the absolute values of the terms that
+        cancel in it, so that about 1e-15 is the best there is; with an active bound it is about 1e-7, the root of what
+        is asked of the solver of quadratic programmes.
         """
         problem = self.problem
         maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
@@ -186,6 +91,9 @@ class Plan:
             pull_size[..., -1:, :] = weight * _rows(np.abs(problem.QN), reach[..., -1:, :])
         gradient = push + np.einsum("...iajb,...ia->...jb", effect, pull)
         size = push_size + np.einsum("...iajb,...ia->...jb", np.abs(effect), pull_size)
+        if isinstance(problem, V1) and problem.bounds is not None:
+            outside, gradient, size = _held(problem.bounds, self.u, gradient, size)
+            gaps.append(outside)
         if isinstance(problem, V3):
             # Whatever part of the gradient is a combination of the terminal rows is held by r's multiplier.
             rows = effect[..., -1, :, :, :].reshape(*effect.shape[:-4], maps.n, -1)
@@ -211,6 +119,8 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     ------
     InfeasibleError
         If V3's terminal state cannot be reached.
+    NotSolvedError
+        If the quadratic programme that bounds leave is not solved to its tolerance.
     InputError
         If x has another size or is not finite, batch axes do not broadcast, or the plan overflows (NotFiniteError).
 
@@ -225,6 +135,9 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     terminal state is linear in w: what remains is the shortest w that brings it where it is asked to be. Where
     part of the signal cannot be steered at all and grows along the horizon, by g say, rounding of V2 and V3 grows with
     it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
+
+    V1 with bounds is V1 where its plan keeps them. Elsewhere what remains is the shortest w within them, a quadratic
+    programme whose condition is not that of the weights; PIQP solves it.
 
     Examples
     --------
@@ -280,6 +193,9 @@ def _solve(problem: Problem, x: Array) -> Plan:
     state = np.einsum("...ab,...b->...a", start, x)
     push = np.zeros((problem.horizon, q)) if isinstance(problem, V1) else _pushes(problem, A, B, K, V, state)
     u, states = rollout(A, B, K, push, state)
+    if isinstance(problem, V1) and problem.bounds is not None and np.any(_outside(problem.bounds, u) > 0):
+        push = _within(problem.bounds, A, B, K, V, state, u)
+        u, states = rollout(A, B, K, push, state)
     return Plan(problem, u, states[..., :n])
 
 
@@ -340,6 +256,43 @@ def _pushes(problem: V2 | V3, A: Array, B: Array, K: Array, V: Array, state: Arr
     return np.asarray(np.linalg.solve(V, parts[..., None])[..., 0])
 
 
+def _outside(bounds: InputBounds, u: Array) -> Array:
+    """Return how far inputs, shape (..., N, q), are outside of their bounds, relative to the width, shape (...)."""
+    low, high = bounds.low[..., None, :], bounds.high[..., None, :]
+    v = np.cumsum(u, axis=-2) if bounds.summed else u
+    return np.max(np.maximum(np.maximum(low - v, v - high) / (high - low), 0.0), axis=(-1, -2))
+
+
+def _within(bounds: InputBounds, A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> Array:
+    """Return what is added to the inputs -K x of each member of a batch so that they keep the bounds."""
+    leaves = _outside(bounds, u) > 0
+    lead = leaves.shape
+    parts = ((A, 2), (B, 2), (K, 3), (V, 3), (x, 1), (bounds.low, 1), (bounds.high, 1))
+    A, B, K, V, x, low, high = (np.broadcast_to(M, (*lead, *M.shape[M.ndim - core :])) for M, core in parts)
+    push = np.zeros((*lead, *u.shape[-2:]))
+    for at in zip(*np.nonzero(leaves), strict=True) if lead else [()]:
+        push[at] = pushes(A[at], B[at], K[at], V[at], x[at], low[at], high[at], bounds.summed)
+    return push
+
+
+def _held(bounds: InputBounds, u: Array, gradient: Array, size: Array) -> tuple[Array, Array, Array]:
+    """Return how far inputs are outside of bounds, and the gradient without the part that bounds hold, with its size.
+
+    The gradient is taken with respect to what is bounded; at a bound only its part that points inside counts.
+    """
+    outside = _outside(bounds, u)
+    if bounds.summed:
+        u = np.cumsum(u, axis=-2)
+        gradient, size = gradient.copy(), size.copy()
+        size[..., :-1, :] += size[..., 1:, :]
+        gradient[..., :-1, :] -= gradient[..., 1:, :]
+    low, high = bounds.low[..., None, :], bounds.high[..., None, :]
+    near = _AT_BOUND * (high - low)
+    gradient = np.where(u <= low + near, np.minimum(gradient, 0.0), gradient)
+    gradient = np.where(u >= high - near, np.maximum(gradient, 0.0), gradient)
+    return outside, gradient, size
+
+
 def _chain(model: Predictor) -> tuple[Array, Array, Array]:
     """Write the prediction as a linear system: where it begins, A and B; its state begins with x_i.
 
@@ -394,11 +347,6 @@ def _check_batch(problem: Problem, x: Array) -> None:
     for name, size in (("Q", 2), ("R", 2), ("QN", 2), ("weight", 0), ("r", 1)):
         if hasattr(problem, name):
             parts[name] = (getattr(problem, name), size)
+    if isinstance(problem, V1) and problem.bounds is not None:
+        parts["bounds"] = (problem.bounds.low + problem.bounds.high, 1)
     common_batch(**parts)
-
-
-def _check_horizon(model: Predictor, horizon: int) -> None:
-    instance("model", model, SignalModel, PredictorMaps)
-    integer("horizon", horizon, 1)
-    if isinstance(model, PredictorMaps) and model.horizon != horizon:
-        raise InputError(f"horizon must be that of the predictor maps, {model.horizon}, got {horizon}")

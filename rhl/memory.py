@@ -9,7 +9,6 @@ import numpy as np
 from rhl._checks import Array, instance, positive
 from rhl._lanes import from_lanes, to_lanes
 from rhl.errors import InputError
-from rhl.estimator import ProximalEstimator
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
 
@@ -92,15 +91,25 @@ class GrowingMemory:
         return SignalModel(found[..., :n], found[..., n:])
 
     def newton_decrement(
-        self, model: SignalModel, centre: SignalModel, x: Array, u: Array, size: Array | None = None
+        self, model: SignalModel, centre: SignalModel, after: Array, before: Array, u: Array, size: Array | None = None
     ) -> Array:
-        """Certify an answer from all transitions themselves: ``ProximalEstimator.newton_decrement`` of that window.
+        """Certify an answer from the transitions themselves: how far a model is from the minimiser, shape (...).
 
-        x holds x(k), ..., x(m-1), and u holds u(k-1), ..., u(m-1), newest first.
+        ``after`` and ``before``, shape (..., T, n), hold x(j) and x(j-1) of T transitions, ``u``, shape (..., T, q),
+        holds u(j-1); ``size`` is that of ``minimise``. Returns Newton's step relative to the model, as
+        ``ProximalEstimator.newton_decrement`` does; both count in the metric of the weight.
         """
-        n, d = centre.n, centre.n + centre.q
-        squares = self.weight * np.square(np.ones(d) if size is None else size)
-        if squares.ndim > 1:
-            raise InputError(f"size must be of one run, shape ({d},), got shape {squares.shape}; take one member")
-        every = ProximalEstimator(u.shape[-2], generator=WeightedSquares(np.repeat(squares, n)))
-        return every.newton_decrement(model, centre, x, u)
+        theta, held = (np.concatenate([of.A, of.B], axis=-1) for of in (model, centre))
+        known, d = np.concatenate([before, u], axis=-1), theta.shape[-1]
+        roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
+        hold = roots[..., None] * np.eye(d)
+        misfit = after - known @ theta.swapaxes(-1, -2), hold @ (held - theta).swapaxes(-1, -2)
+        lead = np.broadcast_shapes(known.shape[:-2], misfit[0].shape[:-2], misfit[1].shape[:-2], hold.shape[:-2])
+        rows, off = (
+            np.concatenate([np.broadcast_to(part, (*lead, *part.shape[-2:])) for part in parts], axis=-2)
+            for parts in ((known, hold), misfit)
+        )
+        Q, R = np.linalg.qr(rows)
+        newton = np.linalg.solve(R, Q.swapaxes(-1, -2) @ off).swapaxes(-1, -2)
+        length, whole = (np.linalg.norm(roots[..., None, :] * of, axis=(-1, -2)) for of in (newton, theta))
+        return np.asarray(length / np.where(whole > 0, whole, 1.0))

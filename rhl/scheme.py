@@ -10,14 +10,17 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer, positive, real_array, weight_matrix
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllability_margin
+from rhl.disturbances import Saturation
 from rhl.errors import AssumptionWarning, InputError
 from rhl.estimator import ProximalEstimator
-from rhl.horizon import V1, factor
+from rhl.horizon import factor
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares, called
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
+from rhl.problems import V1, InputBounds
 from rhl.schedules import PowerDecay, Schedule, epsilon_at
+from rhl.tracking import SetPoint
 from rhl.units import RunningUnits
 
 
@@ -41,6 +44,9 @@ class Controller:
     model_delay : {0, 1}
         0: use the estimate of this step, theta~(k). 1: use that of the step before, theta~(k-1), as the published data
         do.
+    bounds : Saturation, optional
+        What the actuator can do, which plans then keep, as the paper's outlook asks for (Section VII); outside its
+        theory. Give the same object to ``simulate`` as its actuator. Where omitted, plans know no bounds.
     adaptive : bool
         False: epsilon falls with every step. True: it is taken at a stage j(k) that moves on only where the value
         function did not fall, :math:`V_1(k) \ge V_1(k-1)` with the weight kept; a suggestion of the paper's outlook
@@ -55,6 +61,7 @@ class Controller:
     alpha: float = 1.0
     model_delay: int = 0
     adaptive: bool = False
+    bounds: Saturation | None = None
 
     def __post_init__(self) -> None:
         integer("horizon", self.horizon, 1)
@@ -69,6 +76,8 @@ class Controller:
             raise InputError(f"epsilon must be a function of k, got {describe(self.epsilon)}")
         if not isinstance(self.adaptive, bool):
             raise InputError(f"adaptive must be True or False, got {describe(self.adaptive)}")
+        if self.bounds is not None:
+            instance("bounds", self.bounds, Saturation)
         if not getattr(self.epsilon, "vanishes", True):
             warnings.warn(
                 f"Theorem 1 asks for an epsilon(k) that tends to zero: {called(self.epsilon)} does not, so the "
@@ -78,20 +87,33 @@ class Controller:
             )
 
     def problem(
-        self, model: SignalModel, x: Array, k: int | np.ndarray, sizes: tuple[Array, Array] | None = None
+        self,
+        model: SignalModel,
+        x: Array,
+        k: int | np.ndarray,
+        sizes: tuple[Array, Array] | None = None,
+        before: Array | None = None,
     ) -> V1:
         """Set up V1 for the augmented model and state with epsilon(k), equation (3); see :meth:`weight`.
 
-        ``sizes``, where weights count in them, is what ``RunningUnits.weights`` returns.
+        ``sizes``, where weights count in them, is what ``RunningUnits.weights`` returns; ``before``, where inputs of
+        the plan are increments, is v(k-1), shape (..., q).
         """
+        bounds = self._bounds(model.q, before)
         if sizes is None:
-            return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon)
+            return V1(model, self.Q, self.R, self.QN, self.weight(x, k), self.horizon, bounds)
         of_x, of_v = (np.asarray(of)[..., None, :] * np.asarray(of)[..., :, None] for of in sizes)
         Q, R, QN = (
             weight_matrix(name, getattr(self, name), of.shape[-1]) * of
             for name, of in (("Q", of_x), ("R", of_v), ("QN", of_x))
         )
-        return V1(model, Q, R, QN, self.weight(sizes[0] * x, k), self.horizon)
+        return V1(model, Q, R, QN, self.weight(sizes[0] * x, k), self.horizon, bounds)
+
+    def _bounds(self, q: int, before: Array | None) -> InputBounds | None:
+        if self.bounds is None:
+            return None
+        low, high = (np.broadcast_to(edge, q) for edge in (self.bounds.low, self.bounds.high))
+        return InputBounds(low, high) if before is None else InputBounds(low - before, high - before, summed=True)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
         """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3), for the augmented state x (..., n).
@@ -125,6 +147,9 @@ class Scheme:
         How lambda_k is chosen: ConstantMixing, LambdaSearch, or an object of your own with a function ``choose``.
     units : RunningUnits, optional
         Weights and initial model count signals in sizes that the run shows; where omitted, as they are.
+    set_point : SetPoint, optional
+        Where the outputs are to go; the scheme then lifts distances from it and increments of the input. Where omitted,
+        outputs and inputs go to zero, as in the paper.
     """
 
     lifting: DelayLifting
@@ -133,6 +158,7 @@ class Scheme:
     initial_model: SignalModel
     mixing: Mixing = field(default_factory=ConstantMixing)
     units: RunningUnits | None = None
+    set_point: SetPoint | None = None
 
     def __post_init__(self) -> None:
         for name, *kinds in (
@@ -157,6 +183,7 @@ class Scheme:
                 f"the initial model must lie in the domain of {called(generator)}, entries above {generator.lower:g}, "
                 f"got {self.initial_model.theta.min():g}; choose one with larger entries, or another generator"
             )
+        self._check_sizes_of_signals()
         weight_matrix("Q", self.controller.Q, augmented.n)
         weight_matrix("R", self.controller.R, augmented.q)
         weight_matrix("QN", self.controller.QN, augmented.n)
@@ -170,15 +197,31 @@ class Scheme:
                     f"got {least:.3g}; choose another initial model, lower least_margin, or mix by a constant"
                 )
 
+    def _check_sizes_of_signals(self) -> None:
+        bounds = self.controller.bounds
+        if bounds is not None and not {np.shape(bounds.low), np.shape(bounds.high)} <= {(), (self.q,)}:
+            raise InputError(
+                f"bounds must be numbers or have {self.q} entries, one for each input, got {np.shape(bounds.low)} and "
+                f"{np.shape(bounds.high)}"
+            )
+        if self.set_point is not None:
+            instance("set_point", self.set_point, SetPoint)
+            self.set_point.at(0, self.p)
+            if self.lifting.basis is not None:
+                raise InputError(
+                    "set_point must be None where a lifting appends basis functions, which are made for zero, got one"
+                )
+
     def _check_units(self) -> None:
         if self.units is None:
             return
         instance("units", self.units, RunningUnits)
         if self.lifting.basis is not None:
             raise InputError("units must be None where a lifting appends basis functions, which have no size, got some")
-        if not isinstance(self.estimator, GrowingMemory):
+        if self.estimator.constraints is not None:
             raise InputError(
-                f"units need an estimator whose weight counts in them: GrowingMemory, got {describe(self.estimator)}"
+                "units must be None where the estimator has constraints, which are given for the signals as they are, "
+                "got some"
             )
         given, q = np.shape(self.units.inputs), self.initial_model.q // self.lifting.inputs
         if given not in ((), (q,)):
@@ -195,7 +238,8 @@ class Scheme:
     @property
     def depth(self) -> int:
         """How many past outputs and inputs a step looks at."""
-        return self.estimator.window + 1 + max(self.lifting.outputs, self.lifting.inputs)
+        increments = 0 if self.set_point is None else 1
+        return self.estimator.window + 1 + increments + max(self.lifting.outputs, self.lifting.inputs)
 
     @cached_property
     def p(self) -> int:
@@ -228,7 +272,15 @@ def window_scheme(p: int, q: int, order: int) -> Scheme:
     )
 
 
-def default_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> Scheme:
+def default_scheme(
+    p: int,
+    q: int,
+    order: int,
+    inputs: Array | float | None = None,
+    *,
+    bounds: Saturation | None = None,
+    set_point: SetPoint | None = None,
+) -> Scheme:
     r"""Return a scheme to begin with, for plants of which nothing is known, not even the size of their signals.
 
     ``p`` and ``q`` are the numbers of outputs and inputs, and ``order`` is an upper bound on the plant's observability
@@ -249,13 +301,34 @@ def default_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> S
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
-    n = p * order
-    A, B = np.eye(n, k=-p), np.zeros((n, q * order))
+    stacked = order if set_point is None else order + 1
+    return scheme_for(DelayLifting(stacked, stacked), p, q, inputs, bounds=bounds, set_point=set_point)
+
+
+def scheme_for(
+    lifting: DelayLifting,
+    p: int,
+    q: int,
+    inputs: Array | float | None = None,
+    *,
+    bounds: Saturation | None = None,
+    set_point: SetPoint | None = None,
+) -> Scheme:
+    """Return what :func:`default_scheme` does, for a lifting of one's own; basis functions have no running units."""
+    n, stacked = lifting.size(p), lifting.outputs * p
+    A, B = np.eye(n, k=-p), np.zeros((n, q * lifting.inputs))
+    A[stacked:] = 0.0
     B[:p, :q] = 1.0 / (1.0 + np.abs(np.arange(p)[:, None] - np.arange(q)))
+    if set_point is not None:
+        A[:p, :p] = np.eye(p)
+    if inputs is None:
+        inputs = 0.1 if bounds is None else 0.01 * (np.asarray(bounds.high) - bounds.low)
+    horizon = max(30, 2 * (n + (lifting.inputs - 1) * q))
     return Scheme(
-        lifting=DelayLifting(order, order),
+        lifting=lifting,
         estimator=GrowingMemory(),
-        controller=Controller(1.0, 1e-4, 1.0, max(30, 2 * (n + (order - 1) * q)), PowerDecay(1)),
+        controller=Controller(1.0, 1e-4, 1.0, horizon, PowerDecay(1), bounds=bounds),
         initial_model=SignalModel(A, B),
-        units=RunningUnits(inputs),
+        units=RunningUnits(inputs) if lifting.basis is None else None,
+        set_point=set_point,
     )

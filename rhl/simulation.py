@@ -39,6 +39,7 @@ def simulate(
     progress: Callable[[Trace], None] | None = None,
     sensor: Disturbances | None = None,
     actuator: Disturbances | None = None,
+    load: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Trace:
     """Run the scheme on a plant and record what happened, k = 0 ... steps-1.
@@ -61,7 +62,7 @@ def simulate(
         batch.
     progress : callable, optional
         Called now and then with the trace so far.
-    sensor, actuator, applied_known
+    sensor, actuator, load, applied_known
         What errs between scheme and plant, as in ``closed_loop``.
 
     Raises
@@ -86,14 +87,15 @@ def simulate(
         raise InputError(f"progress must be a function of a trace, got {describe(progress)}")
     z = check_loop(scheme, plant, z0, applied_known)
     disturbed = sensor is not None or actuator is not None
-    if type(plant) is LinearPlant and _engine.serves(scheme) and scheme.lifting.basis is None and not disturbed:
+    alone = not disturbed and load is None
+    if type(plant) is LinearPlant and _engine.serves(scheme) and scheme.lifting.basis is None and alone:
         rows = _Rows.empty(scheme, plant, z.shape[:-1], steps, record, disturbed, applied_known)
         parts = _compiled(scheme, plant, z, rows)
     else:
         y = output(plant, z, 0)
         lead = np.broadcast_shapes(y.shape[:-1], z.shape[:-1])
         rows = _Rows.empty(scheme, plant, lead, steps, record, disturbed, applied_known)
-        parts = _stepwise(scheme, plant, np.broadcast_to(z, (*rows.lead, plant.n)), y, rows, sensor, actuator)
+        parts = _stepwise(scheme, plant, np.broadcast_to(z, (*rows.lead, plant.n)), y, rows, sensor, actuator, load)
     done = 0
     try:
         for done in parts:
@@ -234,6 +236,7 @@ def _stepwise(
     rows: _Rows,
     sensor: Disturbances | None,
     actuator: Disturbances | None,
+    load: Disturbances | None,
 ) -> Iterator[int]:
     """Run any scheme on any plant, step by step; yield how many rows are done."""
     controller = (_Compiled if _engine.serves(scheme) else _General)(scheme, rows)
@@ -251,7 +254,7 @@ def _stepwise(
         yield k + 1
         if k + 1 == len(rows.y):
             return
-        after = moved(plant, z, applied)
+        after = moved(plant, z, through("load", load, k, applied))
         if not rows.lead and not np.all(np.isfinite(after)):
             raise DivergedError(k + 1, "the plant's state is no longer finite")
         z = rows.checked(after, k + 1, z)

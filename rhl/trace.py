@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from rhl.horizon import Plan
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
+from rhl.tracking import seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +144,13 @@ class Trace:
         return self.v if self.computed is None else self.computed
 
     @property
+    def error(self) -> Array:
+        """How far the outputs are from the set point, y(k) - r(k), shape (steps, ..., p); y(k) where there is none."""
+        if self.set_point is None:
+            return self.y
+        return self.y - self.set_point.reshape(len(self), *[1] * (self.y.ndim - 2), -1)
+
+    @property
     def diverged_at(self) -> np.ndarray:
         """The k at which a member of a batch left the range of float64, -1 where it did not, shape (...).
 
@@ -177,10 +185,26 @@ class Trace:
     @cached_property
     def _lifted(self) -> tuple[Array, Array]:
         """Return x(k) and u(k-1) for every k, shapes (steps, ..., n) and (steps, ..., N_v q)."""
-        lifting, steps = self.scheme.lifting, len(self)
+        lifting, steps, v = self.scheme.lifting, len(self), self._known
+        if self.scheme.set_point is not None:
+            v = np.diff(v, axis=0, prepend=np.zeros_like(v[:1]))
         x = lifting.lift(self._history(self.y, steps + lifting.outputs, steps), steps)
-        u = lifting.window(self._history(self._known, steps + lifting.inputs, steps), lifting.inputs, steps + 1)
-        return np.moveaxis(x, -2, 0)[::-1], np.moveaxis(u, -2, 0)[::-1][:-1]
+        u = lifting.window(self._history(v, steps + lifting.inputs, steps), lifting.inputs, steps + 1)
+        x, u = np.moveaxis(x, -2, 0)[::-1], np.moveaxis(u, -2, 0)[::-1][:-1]
+        return (x if self.set_point is None else x - self._held(self.set_point)), u
+
+    @cached_property
+    def set_point(self) -> Array | None:
+        """Where the outputs were to go, r(k), shape (steps, p); None where the scheme has no set point."""
+        found, p = self.scheme.set_point, self.scheme.p
+        return None if found is None else np.stack([found.at(k, p) for k in range(len(self))])
+
+    def _held(self, r: Array) -> Array:
+        """Return r(k), shape (steps, p), as it is taken from x(k): not from outputs before k = 0, which count as r."""
+        outputs = self.scheme.lifting.outputs
+        measured = np.arange(len(r))[:, None] >= np.arange(outputs)
+        held = np.where(np.repeat(measured, r.shape[1], axis=1), np.tile(r, outputs), 0.0)
+        return held.reshape(len(r), *[1] * (self.y.ndim - 2), -1)
 
     @cached_property
     def y_hat(self) -> Array:
@@ -189,6 +213,8 @@ class Trace:
         models = self._pair(self._models.model[:-1])
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = models.step(x[:-1], u[1:])[..., : self.scheme.p] if len(self) > 1 else self.y[1:]
+            if self.set_point is not None:
+                predicted = predicted + self.set_point[:-1].reshape(-1, *[1] * (self.y.ndim - 2), self.y.shape[-1])
         return np.concatenate([self.y[:1], predicted])
 
     @property
@@ -224,8 +250,8 @@ class Trace:
 
     @cached_property
     def _size(self) -> Array | None:
-        """The largest of each output up to k, shape (steps, ..., p), where weights count in running units."""
-        return None if self.scheme.units is None else np.maximum.accumulate(np.abs(self.y))
+        """The largest of each output, or error, up to k, shape (steps, ..., p), where there are running units."""
+        return None if self.scheme.units is None else np.maximum.accumulate(np.abs(self.error))
 
     @cached_property
     def _data(self) -> tuple[Array | None, ...]:
@@ -237,9 +263,16 @@ class Trace:
         data, first = estimator.begin(x.shape[-1], u.shape[-1]), self._first
         found = [np.broadcast_to(data, (*x.shape[1:-1], *data.shape))]
         for k in range(len(self)):
-            given = np.stack([x[k], x[k - 1]], axis=-2), u[k][..., None, :]
+            given = np.stack([x[k], self._before(k)], axis=-2), u[k][..., None, :]
             found.append(estimator.remember(found[-1], *given) if k >= first else found[-1])
         return tuple(found)
+
+    def _before(self, k: int) -> Array:
+        """Return x(k-1) as the transition to x(k) counts it: from the set point of k."""
+        x = self._lifted[0][k - 1]
+        if self.set_point is None:
+            return x
+        return x + np.tile(self.set_point[k - 1] - self.set_point[k], self.scheme.lifting.outputs)
 
     @property
     def _first(self) -> int:
@@ -260,21 +293,36 @@ class Trace:
             return np.stack([self._decrement(estimator, k) for k in range(len(self))])
         rows = []
         for k in range(len(self)):
-            x = lifting.lift(self._history(self.y, estimator.window + 1 + lifting.outputs, k + 1), estimator.window + 1)
-            v = self._history(self._known, estimator.window + lifting.inputs, k)
+            y = self._history(self.y, estimator.window + 1 + lifting.outputs, k + 1)
+            v = self._history(self._known, estimator.window + lifting.inputs + 1, k)
+            y, v = seen(self.scheme.set_point, k, y, v)
+            x = lifting.lift(y, estimator.window + 1)
             u = lifting.window(v, lifting.inputs, estimator.window)
-            rows.append(estimator.newton_decrement(self._estimate(k), self.model(k - 1), x, u, k))
+            found, centre, counted = self._estimate(k), self._centre(k), self._counted(k)
+            if counted is None or self.scheme.units is None:
+                rows.append(estimator.newton_decrement(found, centre, x, u, k))
+            else:
+                rows.append(self.scheme.units.newton_decrement(estimator, found, centre, x, u, k, counted))
         return np.stack(rows)
 
     def _decrement(self, estimator: GrowingMemory, k: int) -> Array:
         if k < self._first:
             return np.zeros(self.y.shape[1:-1])
-        scheme, (x, u), since = self.scheme, self._lifted, slice(self._first, k + 1)
-        size = None if self._size is None or scheme.units is None else self._size[k]
-        counted = None if size is None else cast(Any, scheme.units).parameters(scheme.lifting, size, scheme.q)
-        states = np.moveaxis(x[self._first - 1 : k + 1][::-1], 0, -2)
-        inputs = np.moveaxis(u[since][::-1], 0, -2)
-        return estimator.newton_decrement(self._estimate(k), self._centre(k), states, inputs, counted)
+        (x, u), since = self._lifted, range(self._first, k + 1)
+        after, before, inputs = (
+            np.stack(rows, axis=-2) for rows in zip(*((x[j], self._before(j), u[j]) for j in since), strict=True)
+        )
+        found, centre = self._estimate(k), self._centre(k)
+        return estimator.newton_decrement(found, centre, after, before, inputs, self._counted(k))
+
+    def _counted(self, k: int) -> Array | None:
+        """Return the sizes of [x; u] at k, in which the estimator's weights count."""
+        scheme, sizes = self.scheme, self._size
+        return (
+            None
+            if scheme.units is None or sizes is None
+            else scheme.units.parameters(scheme.lifting, sizes[k], scheme.q)
+        )
 
     @cached_property
     def margin_lifted(self) -> Array:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, real_array
+from rhl._checks import Array, describe, real_array
 from rhl.errors import InputError
+from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 
@@ -23,8 +24,8 @@ class RunningUnits:
     The size of an output is the largest that was measured of it so far, :math:`s_i(k) = \max_{j \le k} |y_i(j)|`. The
     size of an input is what moves some output by its size, by the model in use,
     :math:`1 / \max_i \sum_l |B_{i}(l)| / s_i` over the rows that predict y(k+1) and the N_v inputs that u stacks. Q, R,
-    QN and Gamma of the controller and the weight of ``GrowingMemory`` count signals in these sizes, and so does the
-    initial model. The same plant in other units then gives the same run.
+    QN and Gamma of the controller and the estimator's weights count signals in these sizes, and so does the initial
+    model. The same plant in other units then gives the same run.
 
     The sizes settle where the outputs are bounded and the estimates converge; Theorem 1 is stated for weights that do
     not change, so this is outside of it.
@@ -35,21 +36,28 @@ class RunningUnits:
         A size of each input to begin with, positive: one that does no harm, as a tenth of the actuator's range or less.
         The first inputs are of that size, before anything is known of what they do; the smaller, the lower the peak,
         as long as the sensors see what they do.
+    model_in_sizes : bool
+        Whether the scheme's initial model counts signals in sizes; False: it is given in the units of the signals.
     """
 
     inputs: Array | float = 0.1
+    model_in_sizes: bool = True
 
     def __post_init__(self) -> None:
         sizes = real_array("inputs", self.inputs)
         if sizes.ndim > 1 or sizes.size == 0 or np.any(sizes <= 0):
             raise InputError(f"inputs must be positive, a number or one for each input, got {self.inputs}")
         object.__setattr__(self, "inputs", sizes)
+        if not isinstance(self.model_in_sizes, bool):
+            raise InputError(f"model_in_sizes must be True or False, got {describe(self.model_in_sizes)}")
 
     def initial(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> SignalModel:
         """Return theta~(0), given in sizes, in the units of the signals; size, shape (..., p), is that of y(0).
 
         An output that is zero is moved by no input until it is seen to be.
         """
+        if not self.model_in_sizes:
+            return model
         x, u = np.tile(size, lifting.outputs), np.tile(self._inputs(q), lifting.inputs)
         A = x[..., :, None] * model.A / np.where(x > 0, x, 1.0)[..., None, :]
         return SignalModel(A, x[..., :, None] * model.B / u)
@@ -73,8 +81,39 @@ class RunningUnits:
         past = np.tile(v, lifting.inputs - 1)
         return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in (x, past)], axis=-1), v
 
+    def estimated(
+        self, estimator: ProximalEstimator, centre: SignalModel, x: Array, u: Array, k: int, size: Array
+    ) -> SignalModel:
+        """Return the estimator's theta*(k) where its loss and generator count in sizes, those of ``parameters``."""
+        of_x, of_u = size[..., : centre.n], size[..., centre.n :]
+        x, u = x / of_x[..., None, :], u / of_u[..., None, :]
+        found = estimator.minimise(_counted(centre, 1.0 / of_x, 1.0 / of_u), x, u, k)
+        return _counted(found, of_x, of_u)
+
+    def newton_decrement(
+        self,
+        estimator: ProximalEstimator,
+        model: SignalModel,
+        centre: SignalModel,
+        x: Array,
+        u: Array,
+        k: int,
+        size: Array,
+    ) -> Array:
+        """Certify what ``estimated`` returned, as ``ProximalEstimator.newton_decrement`` does, in sizes."""
+        of_x, of_u = size[..., : centre.n], size[..., centre.n :]
+        model, centre = (_counted(of, 1.0 / of_x, 1.0 / of_u) for of in (model, centre))
+        return estimator.newton_decrement(model, centre, x / of_x[..., None, :], u / of_u[..., None, :], k)
+
     def _inputs(self, q: int) -> Array:
         return np.broadcast_to(self.inputs, q)
+
+
+def _counted(model: SignalModel, of_x: Array, of_u: Array) -> SignalModel:
+    """Return a model of signals that are counted anew: x times of_x and u times of_u."""
+    return SignalModel(
+        of_x[..., :, None] * model.A / of_x[..., None, :], of_x[..., :, None] * model.B / of_u[..., None, :]
+    )
 
 
 def _seen(size: Array) -> Array:

@@ -17,7 +17,7 @@ from rhl.controllability import ConstantMixing, LambdaSearch, candidates, contro
 from rhl.disturbances import GaussianNoise, Outliers, Saturation, through
 from rhl.errors import AssumptionWarning, DivergedError, InputError, NotFiniteError, PlantError
 from rhl.estimator import ProximalEstimator
-from rhl.horizon import V1, V2, V3, condensed_hessian, solve
+from rhl.horizon import condensed_hessian, solve
 from rhl.lifting import DelayLifting
 from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
@@ -27,6 +27,7 @@ from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants._realisation import observable_basis
 from rhl.plants.analysis import detectability, linearise, observable_part, rough_model, stabilizability
 from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
+from rhl.problems import V1, V2, V3
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.scheme import Controller, Scheme, window_scheme
 from rhl.simulation import simulate

@@ -28,7 +28,7 @@ from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.disturbances import GaussianNoise, Outliers, Saturation
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
 from rhl.estimator import ProximalEstimator
-from rhl.horizon import V1, solve
+from rhl.horizon import solve
 from rhl.lifting import DelayLifting
 from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, divergence
 from rhl.model import PredictorMaps, SignalModel
@@ -36,6 +36,7 @@ from rhl.paper.published import compare_robot, curve, linear_example
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.analysis import linearise, rough_model, stabilizability
 from rhl.plants.examples import CartPendulum, example, flexible_shaft
+from rhl.problems import V1
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.trace import Trace
 from tests.app.test_config import ARM, LINEAR

@@ -7,9 +7,10 @@ import pytest
 
 from rhl._riccati import gains
 from rhl.errors import InfeasibleError, InputError
-from rhl.horizon import V1, V2, V3, factor, solve
+from rhl.horizon import factor, solve
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.published import linear_example, replay_published
+from rhl.problems import V1, V2, V3
 from tests import oracle
 
 SEED = 2010_05891

@@ -8,8 +8,11 @@ import pytest
 from rhl import (
     GrowingMemory,
     InputError,
+    LinearConstraints,
     LinearPlant,
+    ProximalEstimator,
     RunningUnits,
+    SignalModel,
     advance,
     closed_loop,
     default_scheme,
@@ -152,8 +155,10 @@ def test_bad_schemes():
         replace(scheme, units=RunningUnits([1.0, 1.0, 1.0]))
     with pytest.raises(InputError, match="units must be a RunningUnits, got 1"):
         replace(scheme, units=1)
-    with pytest.raises(InputError, match="units need an estimator whose weight counts in them: GrowingMemory"):
-        replace(window_scheme(2, 2, 2), units=RunningUnits())
+    known = ProximalEstimator(4, constraints=LinearConstraints.shift(2, 2, 2, 2))
+    moved = replace(window_scheme(2, 2, 2), initial_model=SignalModel.shift_of_ones(2, 2, 2, 2), estimator=known)
+    with pytest.raises(InputError, match="units must be None where the estimator has constraints"):
+        replace(moved, units=RunningUnits())
     terms = window_scheme(1, 1, 1)
     lifting = DelayLifting(1, 1, Polynomials(2))
     model = type(terms.initial_model)(np.eye(2), np.ones((2, 1)))

@@ -110,7 +110,12 @@ def fitted(kind: Kind, value: Any) -> Any:
 
 
 class Section:
-    """A table of the file: its keys are attributes, of the class what they must be, of an instance what they are."""
+    """A table of the file: its keys are attributes, of the class what they must be, of an instance what they are.
+
+    The keys of one that ``overrides`` may all be left out where the file has a scheme for them to change.
+    """
+
+    overrides = False
 
     def __init__(self, given: dict[str, Any]) -> None:
         self.given = given
@@ -127,19 +132,22 @@ class Section:
         return cls.keys().get("kind", {}).get("description", "")
 
     @classmethod
-    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]]) -> Self:
-        """Read a table; append what is wrong with it to a list: whether a key is unknown, and a sentence."""
+    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:
+        """Read a table; append what is wrong with it to a list: whether a key is unknown, and a sentence.
+
+        ``changes`` says that tables which override hold changes only.
+        """
         keys, values = cls.keys(), {}
         for name, about in keys.items():
             what, kinds = f"{at}{name} must be {about['description']}", about.get("sections", ())
             if name not in table:
-                if "default" not in about:
+                if "default" not in about and not (changes and cls.overrides):
                     wrong.append((False, f"{what}, got nothing; add the {'section' if kinds else 'key'}"))
             elif kinds and isinstance(table[name], dict):
                 tag = f'"{table[name].get("kind")}"'
                 chosen = kinds if len(kinds) == 1 else [kind for kind in kinds if kind.tag() == tag]
                 if chosen:
-                    values[name] = chosen[0].read(f"{name}.", table[name], wrong)
+                    values[name] = chosen[0].read(f"{name}.", table[name], wrong, changes)
                 else:
                     *others, last = (kind.tag() for kind in kinds)
                     got = describe(table[name]["kind"]) if "kind" in table[name] else "no such key"
@@ -157,8 +165,13 @@ class Section:
         return cls(values)
 
     @classmethod
+    def needed(cls) -> list[str]:
+        """Return the keys that may not be left out."""
+        return [name for name, about in cls.keys().items() if "default" not in about]
+
+    @classmethod
     def schema(cls) -> dict[str, Any]:
-        """Return the table's form as a JSON schema."""
+        """Return the table's form as a JSON schema; of one that overrides, without the keys that it needs alone."""
         keys = cls.keys()
         properties = {}
         for name, about in keys.items():
@@ -169,7 +182,7 @@ class Section:
             "type": "object",
             "description": " ".join((cls.__doc__ or "").split()),
             "properties": properties,
-            "required": [name for name, about in keys.items() if "default" not in about],
+            "required": [] if cls.overrides else cls.needed(),
             "additionalProperties": False,
         }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
@@ -32,20 +32,23 @@ from rhl.app._keys import (
 from rhl.basis import Polynomials, Terms
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
-from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Outliers, Saturation
+from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Offset, Outliers, Saturation
 from rhl.errors import InputError
+from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
-from rhl.losses import GENERATORS, LOSSES, Convex
+from rhl.losses import GENERATORS, LOSSES, Convex, WeightedSquares
+from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import rough_model
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, Schedule
-from rhl.scheme import Controller
+from rhl.scheme import Controller, Scheme
 
 
 class LiftingSection(Section):
     """[lifting]: equations (14) and (22)."""
 
+    overrides = True
     outputs = key("{}, N_y, how many outputs x(k) stacks", SIZE)
     inputs = key("{}, N_v, how many inputs u(k) stacks", SIZE)
     degree = key(
@@ -57,11 +60,12 @@ class LiftingSection(Section):
         default=[],
     )
 
-    def lifting(self) -> DelayLifting:
+    def lifting(self, chosen: DelayLifting | None) -> DelayLifting:
         if self.terms and self.degree > 1:
             raise InputError("terms must be left out where degree is above 1, got both; choose one of them")
         terms = Terms(self.terms) if self.terms else None
-        return DelayLifting(self.outputs, self.inputs, Polynomials(self.degree) if self.degree > 1 else terms)
+        outputs, inputs = (int(self.given.get(name, getattr(chosen, name, 0))) for name in ("outputs", "inputs"))
+        return DelayLifting(outputs, inputs, Polynomials(self.degree) if self.degree > 1 else terms)
 
 
 def _others(offered: Mapping[str, type], between: str, quote: str = "") -> str:
@@ -71,7 +75,8 @@ def _others(offered: Mapping[str, type], between: str, quote: str = "") -> str:
 class EstimatorSection(Section):
     """[estimator]: equation (15)."""
 
-    window = key("{}, N_bar, how many transitions are fitted", LENGTH)
+    overrides = True
+    window = key("{}, N_bar, how many transitions are fitted; beside order all, if left out", LENGTH)
     weight = key("{}, the weight of the Bregman distance", POSITIVE)
     mixing = key('{}, the constant lambda, "none", or "search" for Lemma 5\'s search', FRACTION, WORDS)
     A0 = key(
@@ -110,9 +115,27 @@ class EstimatorSection(Section):
         kind: Any = GENERATORS[self.generator]
         return kind(**{name: getattr(self, name) for name in kind.file_generator})
 
-    def mixed_by(self) -> Mixing:
+    def estimator(
+        self, chosen: Scheme | None, constraints: LinearConstraints | None
+    ) -> ProximalEstimator | GrowingMemory:
+        if self.window is not None:
+            loss = self.convex_loss()
+            memory = None if chosen is None else chosen.estimator
+            if self.weight is None and isinstance(memory, GrowingMemory):
+                return ProximalEstimator(self.window, loss, WeightedSquares(memory.weight), constraints)
+            return ProximalEstimator(self.window, loss, self.convex_generator(), constraints)
+        assert chosen is not None
+        for name in ("loss", "loss_scale", "generator"):
+            self.heeded(name, getattr(self, name) == "squares", "where window is, since all transitions are squares")
+        if constraints is not None:
+            raise InputError("window must be given where [knowledge] is, got nothing; add the key")
+        return chosen.estimator if self.weight is None else GrowingMemory(self.weight)
+
+    def mixed_by(self, chosen: Scheme | None) -> Mixing:
         for name in ("mixing_pair", "mixing_rule", "mixing_count", "lambda_max", "least_margin"):
             self.heeded(name, self.mixing == "search", 'where mixing is not "search"')
+        if self.mixing is None and chosen is not None:
+            return chosen.mixing
         if self.mixing != "search":
             return ConstantMixing(0.0 if self.mixing == "none" else self.mixing)
         return LambdaSearch(self.mixing_pair, self.mixing_rule, self.lambda_max, self.least_margin, self.mixing_count)
@@ -160,6 +183,7 @@ _SCHEDULES: dict[str, tuple[Callable[..., Schedule], tuple[str, ...]]] = {
 class ControllerSection(Section):
     """[controller]: equation (3); sizes are those of Remark 4's augmented state, N_y p + (N_v - 1) q."""
 
+    overrides = True
     Q = key(f"{_WEIGHT}, (N_y p + (N_v-1) q) square", NUMBER, MATRIX)
     R = key(f"{_WEIGHT}, q square", NUMBER, MATRIX)
     QN = key(f"{_WEIGHT}, (N_y p + (N_v-1) q) square", NUMBER, MATRIX)
@@ -175,15 +199,29 @@ class ControllerSection(Section):
     eps_power = key("{}, for power", POSITIVE, default=None)
     eps_factor = key("{}, for exponential", OPEN_FRACTION, default=None)
     eps_value = key("{}, for constant", POSITIVE, default=None)
+    bounded = key(
+        "{}: that plans keep v_min and v_max of [simulation], instead of being clipped there; true beside order",
+        FLAG,
+        default=False,
+    )
     adaptive = key(
         "{}: that eps moves on only where the value function did not fall, instead of at every step",
         FLAG,
         default=False,
     )
 
-    def controller(self) -> Controller:
-        epsilon = self._epsilon()
-        return Controller(self.Q, self.R, self.QN, self.horizon, epsilon, self.alpha, self.model_delay, self.adaptive)
+    def controller(self, chosen: Controller | None, actuator: Saturation | None) -> Controller:
+        if self.bounded and actuator is None:
+            raise InputError("bounded must be false where [simulation] has no v_min and v_max, got true; add them")
+        bounds = actuator if self.bounded or (chosen is not None and "bounded" not in self.given) else None
+        if chosen is None:
+            whole = self.Q, self.R, self.QN, self.horizon, self._epsilon(), self.alpha, self.model_delay, self.adaptive
+            return Controller(*whole, bounds)
+        names = ("Q", "R", "QN", "horizon", "alpha", "model_delay", "adaptive")
+        changes = {name: self.given[name] for name in names if name in self.given}
+        if any(name.startswith("eps") for name in self.given):
+            changes["epsilon"] = self._epsilon()
+        return replace(chosen, bounds=bounds, **changes)
 
     def _epsilon(self) -> Schedule:
         schedule, needed = _SCHEDULES[self.eps]
@@ -219,6 +257,13 @@ class SimulationSection(Section):
 
     v_min = key("{}, or one for each input: where the actuator saturates", NUMBER, VECTOR, default=None)
     v_max = key("{}, or one for each input, above v_min", NUMBER, VECTOR, default=None)
+    load = key(
+        "{}, or one for each input: what is added to the input on its way into the plant, unknown to the scheme",
+        NUMBER,
+        VECTOR,
+        default=0.0,
+    )
+    load_start = key("{}, the first k at which the load is there", integer(0, 100_000), default=0)
     applied_known = key(
         "{}: that the scheme remembers the input that the actuator let through, not the one computed",
         FLAG,
@@ -234,7 +279,7 @@ class SimulationSection(Section):
     outlier_size = key("{}, how far off an outlier is", POSITIVE, default=1.0)
     seed = key("{}, from which errors and outliers are drawn", integer(0, 2**32 - 1), default=0)
 
-    def actuator(self, q: int) -> Disturbance | None:
+    def actuator(self, q: int) -> Saturation | None:
         if self.v_min is None and self.v_max is None:
             return None
         for name in ("v_min", "v_max"):
@@ -244,6 +289,11 @@ class SimulationSection(Section):
         if np.any(low >= high):
             raise InputError(f"v_min must be below v_max for each input, got {describe(self.v_min)} and {self.v_max}")
         return Saturation(low, high)
+
+    def disturbance(self, q: int) -> Disturbance | None:
+        value = _each("load", self.load, q, "input")
+        self.heeded("load_start", bool(np.any(value != 0)), "where load is 0")
+        return Offset(value, self.load_start) if np.any(value != 0) else None
 
     def sensor(self, p: int) -> Disturbances | None:
         std = _each("noise", self.noise, p, "output")

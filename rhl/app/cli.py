@@ -121,7 +121,13 @@ def _parser() -> argparse.ArgumentParser:
     reproduce.add_argument("--output", type=target_name, metavar="CSV", help=rows)
     reproduce.set_defaults(command=_reproduce)
 
-    run = commands.add_parser("run", allow_abbrev=False, help="run the scheme on a plant of your own")
+    run = commands.add_parser(
+        "run",
+        allow_abbrev=False,
+        help="run the scheme on a plant of your own",
+        epilog="The shortest file holds name, steps, order and [plant]. set_point says where the outputs are to go, and "
+        "[simulation] what errs: v_min and v_max, noise, outliers, a load. 'rhl new NAME' writes a file with every key.",
+    )
     run.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what to run; the book documents every key")
     run.add_argument(
         "--output",

@@ -8,12 +8,13 @@ import textwrap
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from rhl._checks import Array, describe, real_array, shown
-from rhl.app._keys import COUNT, LINE, POSITIVE, SIZE, Section, fitted, key, list_of, table_of
+from rhl.app._keys import COUNT, LINE, NUMBER, POSITIVE, SIZE, VECTOR, Section, fitted, key, list_of, table_of
 from rhl.app._plants import PLANTS
 from rhl.app._sections import (
     ControllerSection,
@@ -24,8 +25,8 @@ from rhl.app._sections import (
     SimulationSection,
 )
 from rhl.constraints import LinearConstraints
+from rhl.disturbances import Saturation
 from rhl.errors import InputError
-from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.published import Experiment
@@ -33,11 +34,11 @@ from rhl.plants import LinearPlant, Plant
 from rhl.plants.analysis import linearise, observability_index
 from rhl.plants.benchmarks import benchmark, names
 from rhl.plants.examples import EXAMPLES, example
-from rhl.scheme import Scheme, default_scheme
+from rhl.scheme import Scheme, default_scheme, scheme_for
+from rhl.tracking import SetPoint
 
-# The sections that stand in a file without the key order, and those that may not stand beside it.
+# The sections that stand in a file without the key order; beside it they change what it chooses.
 _NEEDED = ("lifting", "estimator", "controller")
-_CHOSEN = (*_NEEDED, "knowledge", "rough")
 
 # Of the file, in bytes: room for matrices of a few hundred rows.
 _LARGEST = 5_000_000
@@ -49,15 +50,23 @@ class Config(Section):
     name = key("{}, what the run is called, without control characters", LINE)
     steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
     order = key(
-        "{}, an upper bound of the plant's observability index: in place of the sections below, the scheme is chosen "
-        "from it, for plants whose signals may have any size",
+        "{}, an upper bound of the plant's observability index, from which the scheme is chosen, for signals of any "
+        "size; each key of [lifting], [estimator] and [controller] that is given changes just that",
         SIZE,
         default=None,
     )
     input_size = key(
-        "{}, or one for each input: the size of the first inputs where order is given; 0.1 if left out",
+        "{}, or one for each input: the size of the first inputs where order is given; if left out, 0.1, or a "
+        "hundredth of the range from v_min to v_max",
         POSITIVE,
         list_of(POSITIVE),
+        default=None,
+    )
+    set_point = key(
+        "{}, or one for each output: where the outputs are to go, whatever constant disturbance acts; if left out, "
+        "outputs and inputs go to zero",
+        NUMBER,
+        VECTOR,
         default=None,
     )
     plant = key("{}", table_of(*PLANTS))
@@ -72,36 +81,55 @@ class Config(Section):
         """Build what the file describes; InputError, which begins with the key, if sizes do not fit each other."""
         with _under("plant"):
             plant, z0 = self._plant()
-        scheme = self._scheme(plant) if self.order is None else self._chosen_scheme(plant)
         simulation = self.simulation or SimulationSection({})
         with _under("simulation"):
             sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
-        return Experiment(self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known)
+            load = simulation.disturbance(plant.q)
+        scheme = self._scheme(plant, actuator)
+        return Experiment(
+            self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known, load=load
+        )
 
-    def _chosen_scheme(self, plant: Plant) -> Scheme:
-        given, size = self.input_size, 0.1 if self.input_size is None else self.input_size
-        if isinstance(given, list) and len(given) != plant.q:
-            raise InputError(
-                f"input_size must be a number or have {plant.q} entries, one for each input, got {len(given)}"
-            )
-        return default_scheme(plant.p, plant.q, self.order, size)
+    def _sized(self, name: str, count: int, of: str) -> Any:
+        given = getattr(self, name)
+        if isinstance(given, list) and len(given) != count:
+            raise InputError(f"{name} must be a number or have {count} entries, one for each {of}, got {len(given)}")
+        return given
 
-    def _scheme(self, plant: Plant) -> Scheme:
+    def _scheme(self, plant: Plant, actuator: Saturation | None) -> Scheme:
+        goal, size = self._sized("set_point", plant.p, "output"), self._sized("input_size", plant.q, "input")
+        set_point = None if goal is None else SetPoint(goal)
+        chosen = None
+        if self.order is not None:
+            chosen = default_scheme(plant.p, plant.q, self.order, size, bounds=actuator, set_point=set_point)
+        lifting_, estimator_, controller_ = self._sections()
         with _under("lifting"):
-            lifting = self.lifting.lifting()
-            n, q = lifting.size(plant.p), plant.q * self.lifting.inputs
+            lifting = lifting_.lifting(None if chosen is None else chosen.lifting)
+            lifting.size(plant.p)
+            if chosen is not None and lifting != chosen.lifting:
+                chosen = scheme_for(lifting, plant.p, plant.q, size, bounds=actuator, set_point=set_point)
         with _under("knowledge"):
             constraints = None if self.knowledge is None else self.knowledge.constraints(lifting, plant.p, plant.q)
-        with _under("estimator"):
-            initial_model = self._initial_model(plant, lifting, n, q)
-            if constraints is not None:
-                initial_model = self._reconciled(initial_model, constraints)
-            mixing, loss = self.estimator.mixed_by(), self.estimator.convex_loss()
-            estimator = ProximalEstimator(self.estimator.window, loss, self.estimator.convex_generator(), constraints)
         with _under("controller"):
-            controller = self.controller.controller()
+            controller = controller_.controller(None if chosen is None else chosen.controller, actuator)
+        with _under("estimator"):
+            initial_model, own = self._initial_model(estimator_, plant, lifting, chosen)
+            if constraints is not None:
+                initial_model = self._reconciled(estimator_, initial_model, constraints)
+            mixing, estimator = estimator_.mixed_by(chosen), estimator_.estimator(chosen, constraints)
+        units = None if chosen is None or constraints is not None else chosen.units
+        if units is not None:
+            units = replace(units, model_in_sizes=not own)
         with _under("controller", otherwise="estimator"):
-            return Scheme(lifting, estimator, controller, initial_model, mixing)
+            return Scheme(lifting, estimator, controller, initial_model, mixing, units, set_point)
+
+    def _sections(self) -> tuple[LiftingSection, EstimatorSection, ControllerSection]:
+        """Return the three sections; one that is left out beside order changes nothing."""
+        return (
+            self.lifting or LiftingSection({}),
+            self.estimator or EstimatorSection({}),
+            self.controller or ControllerSection({}),
+        )
 
     def _plant(self) -> tuple[Plant, Array]:
         plant, z0 = self.plant.plant()
@@ -110,8 +138,16 @@ class Config(Section):
             raise InputError(f"z0 must have {plant.n} entries, one for each state of the plant, got {len(z0)}")
         return plant, z0
 
-    def _initial_model(self, plant: Plant, lifting: DelayLifting, n: int, q: int) -> SignalModel:
-        A0, B0 = self.estimator.A0, self.estimator.B0
+    def _initial_model(
+        self, section: EstimatorSection, plant: Plant, lifting: DelayLifting, chosen: Scheme | None
+    ) -> tuple[SignalModel, bool]:
+        """Return theta~(0), and whether the file gives it, so that it is in the units of the signals."""
+        A0, B0 = section.A0, section.B0
+        if chosen is not None and A0 is None and B0 is None:
+            if self.rough is None:
+                return chosen.initial_model, False
+            A0 = B0 = "rough"
+        n, q = lifting.size(plant.p), plant.q * lifting.inputs
         for whole in ("rough", "shift-of-ones"):
             if whole in (A0, B0):
                 if A0 != B0:
@@ -121,19 +157,24 @@ class Config(Section):
                         f'A0 must not be "{whole}" where x(k) has basis functions, got both; give matrices'
                     )
                 if whole == "rough":
-                    return self._rough_model(plant)
-                return SignalModel.shift_of_ones(plant.p, lifting.outputs, plant.q, lifting.inputs)
+                    return self._rough_model(plant, lifting), True
+                return SignalModel.shift_of_ones(plant.p, lifting.outputs, plant.q, lifting.inputs), True
         if self.rough is not None:
             raise InputError(
                 'A0 must be "rough" where there is a section [rough], got another; set it and B0, or drop the section'
             )
+        for name, given, other in (("A0", A0, "B0"), ("B0", B0, "A0")):
+            if given is None:
+                raise InputError(f"{name} must be given where {other} is, got nothing; add the key")
         named = SignalModel.companion_of_ones(n, q, "last-row-of-ones" if isinstance(B0, list) else B0)
         A = named.A if isinstance(A0, str) else _fit("A0", A0, (n, n), "the order of x(k), square")
         B = named.B if isinstance(B0, str) else _fit("B0", B0, (n, q), "the order of x(k) by N_v q")
-        return SignalModel(A, B)
+        return SignalModel(A, B), True
 
-    def _reconciled(self, initial_model: SignalModel, constraints: LinearConstraints) -> SignalModel:
-        if self.estimator.A0 == "rough":  # it gives way to what is known for certain
+    def _reconciled(
+        self, section: EstimatorSection, initial_model: SignalModel, constraints: LinearConstraints
+    ) -> SignalModel:
+        if section.A0 in ("rough", None):  # it gives way to what is known for certain
             return constraints.nearest(initial_model)
         try:
             constraints.check("A0 with B0", initial_model)
@@ -144,12 +185,12 @@ class Config(Section):
             ) from None
         return initial_model
 
-    def _rough_model(self, plant: Plant) -> SignalModel:
+    def _rough_model(self, plant: Plant, lifting: DelayLifting) -> SignalModel:
         if self.rough is None:
             raise InputError('A0 must be "rough" only with a section [rough], got none; add it with F, G and H')
         with _under("rough"):
-            model = self.rough.model(self.lifting.outputs, self.lifting.inputs)
-            p, q = model.n // self.lifting.outputs, model.q // self.lifting.inputs
+            model = self.rough.model(lifting.outputs, lifting.inputs)
+            p, q = model.n // lifting.outputs, model.q // lifting.inputs
             if (p, q) != (plant.p, plant.q):
                 raise InputError(
                     f"H and G must have {plant.p} rows and {plant.q} columns, as many as the plant has outputs and "
@@ -192,13 +233,10 @@ def parse(data: dict[str, Any]) -> Config:
     if not isinstance(given, dict) or not all(isinstance(name, str) for name in given):
         raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
     wrong: list[tuple[bool, str]] = []
-    config = Config.read("", data, wrong)
+    config = Config.read("", data, wrong, changes="order" in given)
     for section in _NEEDED:
         if "order" not in given and section not in given:
             wrong.append((False, f"{section} must be a section, got nothing; add the section, or order in its place"))
-    for section in _CHOSEN:
-        if "order" in given and section in given:
-            wrong.append((False, f"{section} must be left out where order is given, which chooses it, got both"))
     # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
     for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
         raise InputError(sentence)
@@ -234,11 +272,11 @@ def keys() -> Iterator[tuple[str, str]]:
 
 def schema() -> dict[str, Any]:
     """Return the file's form as a JSON schema, for editors that complete and check TOML."""
-    given = [{"required": [name]} for name in _CHOSEN]
+    needed = {section.__name__: section.needed() for section in (LiftingSection, EstimatorSection, ControllerSection)}
+    whole = dict(zip(_NEEDED, ({"required": names} for names in needed.values()), strict=True))
     either = {
         "if": {"required": ["order"]},
-        "then": {"not": {"anyOf": given}},
-        "else": {"required": list(_NEEDED), "not": {"required": ["input_size"]}},
+        "else": {"required": list(_NEEDED), "properties": whole, "not": {"required": ["input_size"]}},
     }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "rhl run", **Config.schema(), **either}
 
@@ -251,23 +289,20 @@ _EXAMPLE: dict[str, dict[str, object]] = {
         "H": [[1.0, 0.0]],
         "z0": [1.0, -1.0],
     },
-    "lifting": {"outputs": 2, "inputs": 2},
-    "estimator": {"window": 4, "weight": 0.01, "mixing": "none", "A0": "companion-of-ones", "B0": "last-row-of-ones"},
-    "controller": {"Q": 1.0, "R": 1.0, "QN": 1.0, "horizon": 30, "alpha": 1.0, "model_delay": 0, "eps_rate": 10.0},
 }
 
 
 def template(name: str) -> str:
     """Return a TOML file for a run of that name that runs as it is, with a comment for each key.
 
-    Keys that may be left out stand commented out.
+    Keys that may be left out stand commented out, so that its scheme is the default one.
     """
     try:
         fitted(Config.keys()["name"], name)
     except ValueError:
         raise InputError(f"name must be {Config.keys()['name']['description']}, got {describe(name)}") from None
     lines = ["# A run of the scheme: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg", ""]
-    example: dict[str, object] = {"name": name, "steps": 60}
+    example: dict[str, object] = {"name": name, "steps": 60, "order": 2}
     for table, about in Config.keys().items():
         if "sections" not in about:
             lines += _entry(table, about["description"], example.get(table), about.get("default"))

@@ -54,9 +54,9 @@ def curve(name: str) -> Array:
 class Experiment:
     """A plant, its initial state z0, shape (n,), the scheme that runs on it, and for how many steps.
 
-    An experiment of the paper has as many steps as its longest published curve has samples. ``sensor`` and ``actuator``
-    are what errs between scheme and plant, see ``rhl.disturbances``, nothing in the paper's; ``applied_known`` says
-    whether the scheme remembers what the actuator let through.
+    An experiment of the paper has as many steps as its longest published curve has samples. ``sensor``, ``actuator``
+    and ``load`` are what errs between scheme and plant, see ``rhl.disturbances``, nothing in the paper's;
+    ``applied_known`` says whether the scheme remembers what the actuator let through.
     """
 
     name: str
@@ -67,6 +67,7 @@ class Experiment:
     sensor: Disturbances | None = None
     actuator: Disturbances | None = None
     applied_known: bool = True
+    load: Disturbances | None = None
 
     def run(self, progress: Callable[[Trace], None] | None = None) -> Trace:
         """Simulate it; ``progress`` is called now and then with the trace so far."""
@@ -78,6 +79,7 @@ class Experiment:
             progress=progress,
             sensor=self.sensor,
             actuator=self.actuator,
+            load=self.load,
             applied_known=self.applied_known,
         )
 

@@ -1,6 +1,7 @@
 """The form of a run's file: what is read, what is refused, and in which words."""
 
 import tomllib
+from dataclasses import replace
 
 import control
 import jsonschema
@@ -13,7 +14,8 @@ from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import LinearPlant, RobotArm
-from rhl.scheme import default_scheme, window_scheme
+from rhl.schedules import ExponentialDecay, PowerDecay
+from rhl.scheme import default_scheme
 from rhl.simulation import simulate
 
 LINEAR = """\
@@ -159,7 +161,7 @@ REFUSED = [
     (
         "[controller]",
         "[controler]",
-        "controler is not a known key; expected one of name, steps, order, input_size, plant",
+        "controler is not a known key; expected one of name, steps, order, input_size, set_point, plant",
     ),
     ("[lifting]\noutputs = 4\ninputs = 4\n", "", "lifting must be a section, got nothing; add the section"),
 ]
@@ -292,12 +294,9 @@ def test_what_has_an_effect_is_heeded():
 
 
 def test_a_template_has_the_settings_of_the_default_scheme():
-    file, default = read(template("mine")).experiment().scheme, window_scheme(1, 1, 2)
-    assert file.estimator.window == default.estimator.window
-    assert file.estimator.generator.weight == default.estimator.generator.weight
-    assert file.controller.horizon == default.controller.horizon
-    assert file.controller.epsilon == default.controller.epsilon
-    assert np.array_equal(file.initial_model.theta, default.initial_model.theta)
+    file, default = read(template("mine")).experiment(), default_scheme(1, 1, 2)
+    plant, z0 = file.plant, file.z0
+    assert np.array_equal(simulate(file.scheme, plant, z0, 20).v, simulate(default, plant, z0, 20).v)
 
 
 def test_the_schema_takes_what_the_parser_takes():
@@ -378,8 +377,29 @@ def test_an_order_chooses_the_scheme():
     [
         ("order = 2\n", "", "lifting must be a section, got nothing; add the section, or order in its place"),
         ("order = 2", "order = 0", "order must be an integer from 1 to 100, an upper bound .* got 0"),
-        ("[plant]", "[lifting]\noutputs = 2\ninputs = 2\n[plant]", "lifting must be left out where order is given"),
-        ("[plant]", "[knowledge]\nshift_rows = true\n[plant]", "knowledge must be left out where order is given"),
+        (
+            "[plant]",
+            "[knowledge]\nshift_rows = true\n[plant]",
+            r"estimator.window must be given where \[knowledge\] is",
+        ),
+        (
+            "[plant]",
+            "[estimator]\nloss = 'log-cosh'\n[plant]",
+            "estimator.loss must be left out where window is, since",
+        ),
+        (
+            "[plant]",
+            "[estimator]\nA0 = [[1, 0], [0, 1]]\n[plant]",
+            "estimator.B0 must be given where A0 is, got nothing",
+        ),
+        ("[plant]", "[controller]\nbounded = true\n[plant]", "controller.bounded must be false where"),
+        ("[plant]", "[controller]\neps_power = 2\n[plant]", "controller.eps_power must be left out where eps is"),
+        (
+            "order = 2",
+            "order = 2\nset_point = [1, 2]",
+            "set_point must be a number or have 1 entries, one for each output",
+        ),
+        ("order = 2", "order = 2\nset_point = nan", "set_point must be a number, .* got nan"),
         ("order = 2", "order = 2\ninput_size = -1", "input_size must be a positive number.* got -1"),
         ("order = 2", "order = 2\ninput_size = [1, 2]", "input_size must be a number or have 1 entries, .* got 2"),
     ],
@@ -389,12 +409,94 @@ def test_an_order_refused(old, new, sentence):
         read(ORDER.replace(old, new, 1)).experiment()
 
 
+CHANGES = [
+    ("[controller]\nR = 2.0", "controller", {"R": 2.0}),
+    (
+        "[controller]\nQ = 3\nQN = 4\nhorizon = 12\nalpha = 2",
+        "controller",
+        {"Q": 3, "QN": 4, "horizon": 12, "alpha": 2},
+    ),
+    ("[controller]\neps_rate = 7", "controller", {"epsilon": PowerDecay(7)}),
+    ("[controller]\neps = 'exponential'\neps_factor = 0.5", "controller", {"epsilon": ExponentialDecay(0.5)}),
+    ("[controller]\nmodel_delay = 1\nadaptive = true", "controller", {"model_delay": 1, "adaptive": True}),
+]
+
+
+@pytest.mark.parametrize(("section", "part", "changed"), CHANGES)
+def test_a_key_beside_an_order_changes_just_that(section, part, changed):
+    found, default = read(f"{ORDER}\n{section}").experiment().scheme, default_scheme(1, 1, 2)
+    expected = replace(default, **{part: replace(getattr(default, part), **changed)})
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    one, two, plain = (simulate(of, plant, [1.0, -1.0], 30).v for of in (found, expected, default))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, plain)
+
+
+def test_other_sections_beside_an_order():
+    longer = read(f"{ORDER}\n[lifting]\noutputs = 4").experiment().scheme
+    assert (longer.lifting.outputs, longer.lifting.inputs, longer.initial_model.n) == (4, 2, 4)
+    window = read(f"{ORDER}\n[estimator]\nwindow = 6").experiment().scheme
+    assert (window.estimator.window, window.estimator.generator.weight) == (6, default_scheme(1, 1, 2).estimator.weight)
+    assert window.units is not None
+    robust = read(f'{ORDER}\n[estimator]\nwindow = 6\nweight = 0.1\nloss = "log-cosh"').experiment().scheme
+    assert robust.estimator.generator.weight == 0.1
+    assert read(f"{ORDER}\n[estimator]\nweight = 1e-3\nmixing = 0.5").experiment().scheme.estimator.weight == 1e-3
+    searched = f'{ORDER}\n[estimator]\nmixing = "search"\nA0 = [[0, 1], [1, 1]]\nB0 = [[1, 0], [1, 1]]'
+    assert isinstance(read(searched).experiment().scheme.mixing, LambdaSearch)
+    known = f"{ORDER}\n[knowledge]\nshift_rows = true\n[estimator]\nwindow = 6"
+    assert read(known).experiment().scheme.units is None
+    products = read(f"{ORDER}\n[lifting]\ndegree = 2").experiment().scheme
+    assert products.units is None
+    assert products.initial_model.n == 5
+
+
+def test_a_rough_model_beside_an_order_is_in_the_units_of_the_signals():
+    rough = "[rough]\nF = [[1.1, 1.0], [0.0, 0.9]]\nG = [[0.0], [1.0]]\nH = [[1.0, 0.0]]"
+    found = read(f"{ORDER}\n{rough}").experiment()
+    assert not found.scheme.units.model_in_sizes
+    trace, blind = found.run(), read(ORDER).experiment().run()
+    # Who knows the plant from the start is right from the first prediction that has data to start from.
+    assert np.abs(trace.y_hat - trace.y)[2:].max() < 1e-9
+    assert np.abs(blind.y_hat - blind.y)[2:].max() > 1e-2
+    assert np.abs(trace.y).max() < np.abs(blind.y).max()
+
+
+def test_bounds_of_the_actuator_are_in_the_plan_beside_an_order():
+    limits = "[simulation]\nv_min = -0.5\nv_max = 0.5"
+    bounded = read(f"{ORDER}\n{limits}").experiment()
+    clipped = read(f"{ORDER}\n{limits}\n[controller]\nbounded = false").experiment()
+    assert bounded.scheme.controller.bounds is bounded.actuator
+    assert clipped.scheme.controller.bounds is None
+    assert np.abs(bounded.run().v_computed).max() <= 0.5 < np.abs(clipped.run().v_computed).max()
+    assert read(f"{LINEAR}\n{limits}").experiment().scheme.controller.bounds is None
+    planned = LINEAR.replace("[controller]", "[controller]\nbounded = true")
+    assert read(f"{planned}\n{limits}").experiment().scheme.controller.bounds is not None
+
+
+def test_a_set_point_and_a_load():
+    held = ORDER.replace("steps = 80", "steps = 150\nset_point = 2.0")
+    trace = read(f"{held}\n[simulation]\nload = 0.3").experiment().run()
+    assert np.abs(trace.y[-1] - 2.0).max() < 1e-6
+    late = read(f"{held}\n[simulation]\nload = 0.3\nload_start = 100").experiment().run()
+    assert np.array_equal(late.y[:101], read(held).experiment().run().y[:101])
+    assert not np.array_equal(late.y[:110], read(held).experiment().run().y[:110])
+    assert read(f"set_point = 2.0\n{LINEAR}").experiment().scheme.set_point.at(0, 1) == 2.0
+    with pytest.raises(InputError, match=r"simulation.load_start must be left out where load is 0"):
+        read(f"{held}\n[simulation]\nload_start = 5").experiment()
+
+
 def test_an_input_size_needs_an_order():
     with pytest.raises(InputError, match="input_size must be left out where order is left out"):
         read(f"input_size = 2\n{LINEAR}").experiment()
     assert verdicts(tomllib.loads(f"input_size = 2\n{LINEAR}")) == (False, False)
     assert verdicts(tomllib.loads(ORDER)) == (True, True)
-    assert verdicts(tomllib.loads(ORDER) | {"rough": {"F": [[1]], "G": [[1]], "H": [[1]]}}) == (False, False)
+    partly = {"rough": {"F": [[1]], "G": [[1]], "H": [[1]]}, "controller": {"R": 2.0}, "lifting": {"outputs": 3}}
+    assert verdicts(tomllib.loads(ORDER) | partly) == (True, True)
+    for section in ("lifting", "estimator", "controller"):
+        short = tomllib.loads(LINEAR)
+        short[section].popitem()
+        assert verdicts(short) == (False, False)
+        assert verdicts(short | {"order": 2}) == (True, True)
 
 
 @pytest.mark.parametrize("path", [path for path, _ in keys()])

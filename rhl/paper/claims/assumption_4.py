@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from rhl.controllability import controllability_margin
-from rhl.horizon import V1, V2, solve
+from rhl.horizon import solve
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lyapunov_terms import follow
 from rhl.paper.claims.predictors import commutation_gaps, half_blind, powers, predict, prediction_errors, rational
 from rhl.paper.claims.rotating_models import turning
+from rhl.problems import V1, V2
 
 _claim = partial(Claim, page="notebooks/04-assumption-4.ipynb", test="tests/paper/claims/test_assumption_4.py")
 

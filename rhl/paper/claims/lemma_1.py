@@ -10,9 +10,10 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.errors import InfeasibleError
-from rhl.horizon import V1, V2, V3, Plan, Problem, solve
+from rhl.horizon import Plan, solve
 from rhl.model import PredictorMaps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
+from rhl.problems import V1, V2, V3, Problem
 
 _claim = partial(Claim, page="notebooks/05-lemma-1.ipynb", test="tests/paper/claims/test_lemma_1.py")
 

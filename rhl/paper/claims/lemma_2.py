@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims import lyapunov_inequalities as steps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
@@ -27,6 +27,7 @@ from rhl.paper.claims.lyapunov_terms import (
     square,
 )
 from rhl.paper.claims.rotating_models import PLANE, losing, turning
+from rhl.problems import V3
 
 _claim = partial(
     Claim,

@@ -7,10 +7,11 @@ from functools import partial
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import V1, V2, Plan, solve
+from rhl.horizon import Plan, solve
 from rhl.model import PredictorMaps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lemma_1 import random_maps, random_weight
+from rhl.problems import V1, V2
 
 _claim = partial(Claim, page="notebooks/07-lemma-3.ipynb", test="tests/paper/claims/test_lemma_3.py")
 _ROUNDING = 1e-9

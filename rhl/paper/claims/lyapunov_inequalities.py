@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims.lyapunov_terms import Bounds, Terms, apply, size, square, written_out
+from rhl.problems import V3
 
 # A coefficient whose limit is zero must have come down to this share of its largest value; its decay is geometric.
 _VANISHED = 1e-3

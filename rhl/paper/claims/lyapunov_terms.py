@@ -9,8 +9,9 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.controllability import controllability_margin
-from rhl.horizon import V3, Plan, solve
+from rhl.horizon import Plan, solve
 from rhl.model import PredictorMaps, SignalModel
+from rhl.problems import V3
 
 # Models below this margin are redrawn: their gains would magnify rounding, not test the proof.
 _LEAST_MARGIN = 0.2

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhl._checks import Array
-from rhl.horizon import V1, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
+from rhl.problems import V1
 
 Exact = NDArray[np.object_]
 

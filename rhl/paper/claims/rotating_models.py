@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims.lyapunov_terms import Setting, size, square
+from rhl.problems import V3
 
 PLANE = 1.5
 """Growth factor of the plant x+ = 1.5 x + u in the plane."""

@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import V1, V2, V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lemma_1 import random_maps, random_weight
+from rhl.problems import V1, V2, V3
 
 _claim = partial(Claim, page="notebooks/08-theorem-1.ipynb", test="tests/paper/claims/test_theorem_1.py")
 _STEPS = 600

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rhl.horizon import V1, V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims import assumption_4, predictors
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import follow
 from rhl.paper.claims.rotating_models import PLANE, consistent_model, rotation, turning
+from rhl.problems import V1, V3
 
 small = st.integers(-3, 3)
 

@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rhl.errors import InfeasibleError
-from rhl.horizon import V2, V3, solve
+from rhl.horizon import solve
 from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims import lemma_1
 from rhl.paper.claims.claim import Effort, judge
+from rhl.problems import V2, V3
 
 ROUNDING = 1e-9  # well conditioned systems of at most twenty unknowns
 

@@ -6,13 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rhl.horizon import V3, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims import lemma_2
 from rhl.paper.claims import lyapunov_inequalities as steps
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import SIZES, Setting, at_the_end, bounds, draw, follow, square, written_out
 from rhl.paper.claims.rotating_models import losing, rotation, turning
+from rhl.problems import V3
 
 ROUNDING = 1e-9  # relative to V3; gains are below a few hundred
 

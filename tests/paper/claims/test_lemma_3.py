@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhl.horizon import V2, solve
+from rhl.horizon import solve
 from rhl.model import PredictorMaps
 from rhl.paper.claims import lemma_3
 from rhl.paper.claims.claim import Effort, judge
+from rhl.problems import V2
 
 ROUNDING = 1e-9
 

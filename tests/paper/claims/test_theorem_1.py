@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhl.horizon import V1, solve
+from rhl.horizon import solve
 from rhl.model import SignalModel
 from rhl.paper.claims import theorem_1
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants.analysis import pbh
+from rhl.problems import V1
 
 
 @pytest.mark.parametrize("seed", [0, 1])

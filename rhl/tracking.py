@@ -1,0 +1,80 @@
+"""Set points for the outputs, by way of increments of the input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhl._checks import Array, describe, real_array
+from rhl.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoint:
+    r"""Where the outputs are to go, whatever constant disturbance acts on the plant.
+
+    The scheme then sees :math:`e(k) = y(k) - r` for an output and the increment :math:`\delta(k) = v(k) - v(k-1)` for
+    an input. Of a linear plant with constant disturbances, :math:`z^+ = F z + G v + d_1,\; y = H z + d_2`, these are
+    output and input of a linear plant without any,
+
+    .. math::
+        \begin{bmatrix} \tilde z \\ \tilde v \end{bmatrix}^+ =
+        \begin{bmatrix} F & G \\ 0 & I \end{bmatrix} \begin{bmatrix} \tilde z \\ \tilde v \end{bmatrix}
+        + \begin{bmatrix} G \\ I \end{bmatrix} \delta, \qquad e = H \tilde z,
+
+    where tildes are distances from an equilibrium (z, v) with y = r, if there is one. It is what the paper's remark on
+    exosystems (Section V) comes to for signals that are constant. The plant so seen is one input longer: its
+    observability index is at most one above that of the plant.
+
+    Parameters
+    ----------
+    value : float or array_like, shape (p,), or callable
+        r, in the units of the outputs; or a function k -> r. A change of r is seen by the scheme at once: all stacked
+        outputs count from the set point of step k.
+
+    Examples
+    --------
+    >>> SetPoint(20.0).at(0, p=2)
+    array([20., 20.])
+    >>> SetPoint(lambda k: [0.0 if k < 50 else 1.0]).at(60, p=1)
+    array([1.])
+    """
+
+    value: Array | float | Callable[[int], ArrayLike]
+
+    def __post_init__(self) -> None:
+        if not callable(self.value):
+            found = real_array("value", self.value)
+            if found.ndim > 1 or found.size == 0:
+                raise InputError(f"value must be a number or one for each output, got shape {found.shape}")
+            object.__setattr__(self, "value", found)
+
+    def at(self, k: int, p: int) -> Array:
+        """Return r(k), shape (p,); InputError if it has another size or is not finite."""
+        given: object = self.value(k) if callable(self.value) else self.value
+        found = real_array(f"the set point at k = {k}", given)  # type: ignore[arg-type]
+        if found.shape not in ((), (p,)):
+            raise InputError(
+                f"the set point must be a number or have {p} entries, one for each output, got {describe(given)}"
+            )
+        return np.broadcast_to(found, p)
+
+
+def seen(
+    set_point: SetPoint | None, k: int, y_history: Array, v_history: Array, at: int | None = None
+) -> tuple[Array, Array]:
+    """Return what the scheme takes for outputs and inputs: the signals, or distances from r and increments.
+
+    The histories are newest first, from y(k) and v(k-1) on; of v one row more is needed than increments are returned.
+    Outputs from before k = 0 count as at the set point, as zeros do without one. ``at`` is the step whose r counts, k
+    where omitted.
+    """
+    if set_point is None:
+        return y_history, v_history
+    p, rows = y_history.shape[-1], y_history.shape[-2]
+    measured = (np.arange(rows) <= k)[:, None]
+    e = np.where(measured, y_history - set_point.at(k if at is None else at, p), 0.0)
+    return e, v_history[..., :-1, :] - v_history[..., 1:, :]
