@@ -242,10 +242,8 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     if isinstance(estimator, GrowingMemory):
         data = remembered(scheme, state, x, u)
         estimate = estimator.minimise(centre, data, counted)
-    elif counted is not None and scheme.units is not None:
-        estimate = scheme.units.estimated(estimator, centre, x, u, state.k, counted)
     else:
-        estimate = estimator.minimise(centre, x, u, state.k)
+        estimate = estimator.minimise(centre, x, u, state.k, counted)
     lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
     model = estimate.mix(centre, lam)
     stage = np.full(lead, state.k) if state.stage is None else state.stage

@@ -78,7 +78,7 @@ class ProximalEstimator:
         if not (self.constraints is None or isinstance(self.constraints, LinearConstraints)):
             raise InputError(f"constraints must be a LinearConstraints or None, got {describe(self.constraints)}")
 
-    def minimise(self, centre: SignalModel, x: Array, u: Array, k: int = 0) -> SignalModel:
+    def minimise(self, centre: SignalModel, x: Array, u: Array, k: int = 0, size: Array | None = None) -> SignalModel:
         r"""Return :math:`\theta^*(k)`, the minimiser of equation (15), as a signal model.
 
         Parameters
@@ -92,6 +92,8 @@ class ProximalEstimator:
             u(k-1), ..., u(k - window).
         k : int
             The step, for a loss that varies.
+        size : array, shape (..., n + q), optional
+            Sizes of [x; u] in which loss and generator count signals; one where left out.
 
         Raises
         ------
@@ -100,6 +102,10 @@ class ProximalEstimator:
         NotSolvedError
             If the answer to a problem that is not quadratic misses its certificate.
         """
+        if size is not None:
+            of_x, of_u = size[..., : centre.n], size[..., centre.n :]
+            x, u = x / of_x[..., None, :], u / of_u[..., None, :]
+            return self.minimise(centre.counted(1.0 / of_x, 1.0 / of_u), x, u, k).counted(of_x, of_u)
         loss, x, u = self._problem(centre, x, u, k)
         if isinstance(loss, WeightedSquares) and isinstance(self.generator, WeightedSquares):
             return self._squares(loss, self.generator, centre, x, u, k)
@@ -107,7 +113,9 @@ class ProximalEstimator:
         theta = np.reshape([solve(problem) for problem in problems], (*lead, centre.theta.shape[-1]))
         return SignalModel.from_theta(theta, centre.n, centre.q)
 
-    def newton_decrement(self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0) -> Array:
+    def newton_decrement(
+        self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0, size: Array | None = None
+    ) -> Array:
         r"""Certify an answer: how far a model is from the minimiser of equation (15), recomputed from the problem.
 
         The problem is given as in ``minimise``. Returns :math:`\|\delta\|/\|\theta\|`, shape (...), with Newton's step
@@ -115,6 +123,10 @@ class ProximalEstimator:
         quadratic, elsewhere but for terms of second order. About 1e-16 is the best there is.
         """
         instance("model", model, SignalModel)
+        if size is not None:
+            of_x, of_u = size[..., : centre.n], size[..., centre.n :]
+            x, u = x / of_x[..., None, :], u / of_u[..., None, :]
+            model, centre = (of.counted(1.0 / of_x, 1.0 / of_u) for of in (model, centre))
         loss, x, u = self._problem(centre, x, u, k)
         if (model.n, model.q) != (centre.n, centre.q):
             raise InputError(

@@ -209,6 +209,18 @@ class SignalModel:
             A = np.stack(powers, axis=-3)
             return PredictorMaps(A, A[..., :-1, :, :] @ self.B[..., None, :, :])
 
+    def counted(self, of_x: Array, of_u: Array) -> SignalModel:
+        """Return the model of the signals counted anew: x times of_x, shape (..., n), and u times of_u, (..., q).
+
+        Examples
+        --------
+        >>> metres = SignalModel([[0.5]], [[2.0]])
+        >>> metres.counted(np.array([1000.0]), np.array([1.0])).B  # x in millimetres
+        array([[2000.]])
+        """
+        rows = of_x[..., :, None]
+        return SignalModel(rows * self.A / of_x[..., None, :], rows * self.B / of_u[..., None, :])
+
     def mix(self, other: SignalModel, lam: ArrayLike) -> SignalModel:
         """Return (1 - lam) * self + lam * other with lam in [0, 1], shape (...), as in equation (15) and Lemma 5.
 

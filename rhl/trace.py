@@ -299,10 +299,7 @@ class Trace:
             x = lifting.lift(y, estimator.window + 1)
             u = lifting.window(v, lifting.inputs, estimator.window)
             found, centre, counted = self._estimate(k), self._centre(k), self._counted(k)
-            if counted is None or self.scheme.units is None:
-                rows.append(estimator.newton_decrement(found, centre, x, u, k))
-            else:
-                rows.append(self.scheme.units.newton_decrement(estimator, found, centre, x, u, k, counted))
+            rows.append(estimator.newton_decrement(found, centre, x, u, k, counted))
         return np.stack(rows)
 
     def _decrement(self, estimator: GrowingMemory, k: int) -> Array:

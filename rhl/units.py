@@ -8,7 +8,6 @@ import numpy as np
 
 from rhl._checks import Array, describe, real_array
 from rhl.errors import InputError
-from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 
@@ -81,39 +80,8 @@ class RunningUnits:
         past = np.tile(v, lifting.inputs - 1)
         return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in (x, past)], axis=-1), v
 
-    def estimated(
-        self, estimator: ProximalEstimator, centre: SignalModel, x: Array, u: Array, k: int, size: Array
-    ) -> SignalModel:
-        """Return the estimator's theta*(k) where its loss and generator count in sizes, those of ``parameters``."""
-        of_x, of_u = size[..., : centre.n], size[..., centre.n :]
-        x, u = x / of_x[..., None, :], u / of_u[..., None, :]
-        found = estimator.minimise(_counted(centre, 1.0 / of_x, 1.0 / of_u), x, u, k)
-        return _counted(found, of_x, of_u)
-
-    def newton_decrement(
-        self,
-        estimator: ProximalEstimator,
-        model: SignalModel,
-        centre: SignalModel,
-        x: Array,
-        u: Array,
-        k: int,
-        size: Array,
-    ) -> Array:
-        """Certify what ``estimated`` returned, as ``ProximalEstimator.newton_decrement`` does, in sizes."""
-        of_x, of_u = size[..., : centre.n], size[..., centre.n :]
-        model, centre = (_counted(of, 1.0 / of_x, 1.0 / of_u) for of in (model, centre))
-        return estimator.newton_decrement(model, centre, x / of_x[..., None, :], u / of_u[..., None, :], k)
-
     def _inputs(self, q: int) -> Array:
         return np.broadcast_to(self.inputs, q)
-
-
-def _counted(model: SignalModel, of_x: Array, of_u: Array) -> SignalModel:
-    """Return a model of signals that are counted anew: x times of_x and u times of_u."""
-    return SignalModel(
-        of_x[..., :, None] * model.A / of_x[..., None, :], of_x[..., :, None] * model.B / of_u[..., None, :]
-    )
 
 
 def _seen(size: Array) -> Array:

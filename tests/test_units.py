@@ -23,6 +23,7 @@ from rhl import (
 )
 from rhl.basis import Polynomials
 from rhl.lifting import DelayLifting
+from rhl.losses import LogCosh, WeightedSquares
 
 STEPS = 60
 
@@ -147,6 +148,19 @@ def replace_B(model, B):
 def test_bad_sizes(inputs):
     with pytest.raises(InputError, match="inputs must"):
         RunningUnits(inputs)
+
+
+def test_a_window_counts_in_sizes_too():
+    found, z0 = plant(3)
+    window = ProximalEstimator(8, LogCosh(0.1), WeightedSquares(1e-4))
+    scheme = replace(default_scheme(2, 2, 2), estimator=window)
+    other = LinearPlant(found.F, found.G, np.diag([1e3, 1e-3]) @ found.H)
+    run, changed = (simulate(scheme, of, z0, 30) for of in (found, other))
+    assert gap(run, changed, np.array([1e3, 1e-3]), 1.0) < 1e-6
+    assert np.all(run.newton_decrement < 1e-9)
+    raw = replace(scheme, units=None)
+    run, changed = (simulate(raw, of, z0, 12) for of in (found, other))
+    assert gap(run, changed, np.array([1e3, 1e-3]), 1.0) > 1e-2
 
 
 def test_bad_schemes():

@@ -125,8 +125,8 @@ def _parser() -> argparse.ArgumentParser:
         "run",
         allow_abbrev=False,
         help="run the scheme on a plant of your own",
-        epilog="The shortest file holds name, steps, order and [plant]. set_point says where the outputs are to go, and "
-        "[simulation] what errs: v_min and v_max, noise, outliers, a load. 'rhl new NAME' writes a file with every key.",
+        epilog="The shortest file holds name, steps, order and [plant]. set_point says where outputs are to go, and "
+        "[simulation] what errs: v_min and v_max, noise, outliers, a load. 'rhl new NAME' writes all keys.",
     )
     run.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what to run; the book documents every key")
     run.add_argument(
