@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
     from rhl.simulation import simulate
     from rhl.trace import Trace
+    from rhl.tracking import SetPoint
     from rhl.units import RunningUnits
 
 __all__ = [
@@ -62,6 +63,7 @@ __all__ = [
     "RunningUnits",
     "Saturation",
     "Scheme",
+    "SetPoint",
     "SignalModel",
     "Step",
     "Trace",

@@ -134,6 +134,8 @@ def run(trace: Trace, title: str = "") -> Figure:
     figure, axes = panels(4)
     for i in range(trace.y.shape[1]):
         held(axes[0], trace.y[:, i], f"$y_{i + 1}$", color=f"C{i}")
+        if trace.set_point is not None:
+            held(axes[0], trace.set_point[:, i], f"$r_{i + 1}$", color=f"C{i}", linestyle="--", linewidth=1)
         predicted = np.where(np.abs(trace.y_hat[:, i]) <= _DRAWABLE, trace.y_hat[:, i], np.nan)
         axes[0].plot(trace.k, predicted, "x", color=f"C{i}", label=rf"$\hat y_{i + 1}$", ms=3.5)
     for i in range(trace.v.shape[1]):

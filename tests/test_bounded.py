@@ -85,11 +85,33 @@ def test_a_batch_is_its_members():
         assert np.allclose(together.u[i], alone.u, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("summed", [False, True])
+def test_the_active_set_method_finds_the_same_plan(summed, monkeypatch):
+    one, x = problem(4, size=0.05, summed=summed)
+    found = solve(one, x)
+    monkeypatch.setattr(rhl._bounded, "_ITERATIONS", 1)  # so that the interior-point method misses its tolerance
+    other = solve(one, x)
+    assert not np.array_equal(other.u, found.u)
+    assert np.allclose(other.u, found.u, rtol=1e-5, atol=1e-7)
+    assert other.value == pytest.approx(float(found.value), rel=1e-8)
+
+
+def test_weights_that_are_far_apart():
+    """A terminal weight of 1e20 beside inputs that cost 1e-8: too much for the interior-point method."""
+    model = SignalModel([[1.4, 1.0, 0.0], [0.0, 1.3, 1.0], [0.0, 0.0, 1.2]], [[0.0], [0.0], [1.0]])
+    one = V1(model, 1.0, 1e-8, 1.0, 1e20, 40, InputBounds([-1.0], [1.0]))
+    plan, (M, c) = solve(one, [0.3, 0.0, 0.0]), least_squares(one, np.array([0.3, 0.0, 0.0]))
+    assert np.all(np.abs(plan.u) <= 1 + 1e-7)
+    found = lsq_linear(M, -c, (-np.ones(40), np.ones(40)), method="bvls", tol=1e-14, max_iter=5000)
+    assert plan.value <= np.sum((M @ found.x + c) ** 2) * (1 + 1e-6)
+
+
 def test_what_is_not_solved_is_said(monkeypatch):
     one, x = problem(4, size=0.05)
     assert solve(one, x).residual() < 1e-5
     monkeypatch.setattr(rhl._bounded, "_ITERATIONS", 1)
-    with pytest.raises(NotSolvedError, match=r"must be found to 1e-07 of their width, got .* by PIQP"):
+    monkeypatch.setattr(rhl._bounded, "_STEPS", 0)
+    with pytest.raises(NotSolvedError, match=r"must be found in .* steps of an active-set method, got none; shorten"):
         solve(one, x)
 
 

@@ -33,6 +33,7 @@ NAMES = [
     "RunningUnits",
     "Saturation",
     "Scheme",
+    "SetPoint",
     "SignalModel",
     "Step",
     "Trace",
