@@ -95,13 +95,13 @@ def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, hi
         u = inputs[q * i : q * (i + 1)]
         of[i], offset[i] = V[i] @ (u + K[i] @ states), V[i] @ (K[i] @ start)
         states, start = A @ states + B @ u, A @ start
-    bounds = np.tile(low, N), np.tile(high, N)
+    bounds, steps = (np.tile(low, N), np.tile(high, N)), max(1, _STEPS * N * q)
     matrix, target = of.reshape(N * q, N * q), -offset.ravel()
-    found = lsq_linear(matrix, target, bounds, method="bvls", tol=_LOWERED, max_iter=_STEPS * N * q)
+    found = lsq_linear(matrix, target, bounds, method="bvls", tol=_LOWERED, max_iter=steps)
     if found.status == 0:
         raise NotSolvedError(
-            f"the plan within the bounds of the input must be found in {_STEPS * N * q} steps of an active-set method, "
-            "got none; shorten the horizon, or leave the bounds to the actuator"
+            f"the plan within the bounds of the input must be found in {steps} steps of an active-set method, got none; "
+            "shorten the horizon, or leave the bounds to the actuator"
         )
     w = (matrix @ found.x - target).reshape(N, q)
     return np.asarray(np.linalg.solve(V, w[..., None])[..., 0])

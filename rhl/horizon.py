@@ -137,7 +137,7 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
 
     V1 with bounds is V1 where its plan keeps them. Elsewhere what remains is the shortest w within them, a quadratic
-    programme whose condition is not that of the weights; PIQP solves it.
+    programme whose condition is not that of the weights, which PIQP or scipy solves.
 
     Examples
     --------

@@ -107,7 +107,7 @@ def test_weights_that_are_far_apart():
 
 
 def test_what_is_not_solved_is_said(monkeypatch):
-    one, x = problem(4, size=0.05)
+    one, x = problem(0, size=0.3)
     assert solve(one, x).residual() < 1e-5
     monkeypatch.setattr(rhl._bounded, "_ITERATIONS", 1)
     monkeypatch.setattr(rhl._bounded, "_STEPS", 0)
