@@ -100,7 +100,7 @@ def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, hi
     found = lsq_linear(matrix, target, bounds, method="bvls", tol=_LOWERED, max_iter=steps)
     if found.status == 0:
         raise NotSolvedError(
-            f"the plan within the bounds of the input must be found in {steps} steps of an active-set method, got none; "
+            f"the plan within the bounds of the input must be found in {steps} active-set steps, got none; "
             "shorten the horizon, or leave the bounds to the actuator"
         )
     w = (matrix @ found.x - target).reshape(N, q)

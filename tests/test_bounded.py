@@ -111,7 +111,7 @@ def test_what_is_not_solved_is_said(monkeypatch):
     assert solve(one, x).residual() < 1e-5
     monkeypatch.setattr(rhl._bounded, "_ITERATIONS", 1)
     monkeypatch.setattr(rhl._bounded, "_STEPS", 0)
-    with pytest.raises(NotSolvedError, match=r"must be found in .* steps of an active-set method, got none; shorten"):
+    with pytest.raises(NotSolvedError, match=r"must be found in .* active-set steps, got none; shorten"):
         solve(one, x)
 
 
