@@ -183,8 +183,8 @@ class Trace:
         return np.moveaxis(rows, 0, -2)
 
     @cached_property
-    def _lifted(self) -> tuple[Array, Array]:
-        """Return x(k) and u(k-1) for every k, shapes (steps, ..., n) and (steps, ..., N_v q)."""
+    def lifted(self) -> tuple[Array, Array]:
+        """x(k) and u(k-1) for every k, shapes (steps, ..., n) and (steps, ..., N_v q)."""
         lifting, steps, v = self.scheme.lifting, len(self), self._known
         if self.scheme.set_point is not None:
             v = np.diff(v, axis=0, prepend=np.zeros_like(v[:1]))
@@ -209,7 +209,7 @@ class Trace:
     @cached_property
     def y_hat(self) -> Array:
         """Predictions of y(k) made at k-1 (y(0) at k = 0), shape (steps, ..., p)."""
-        x, u = self._lifted
+        x, u = self.lifted
         models = self._pair(self._models.model[:-1])
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = models.step(x[:-1], u[1:])[..., : self.scheme.p] if len(self) > 1 else self.y[1:]
@@ -231,7 +231,7 @@ class Trace:
     @cached_property
     def weight(self) -> Array:
         """The controller's Gamma(x)/eps(k), shape (steps, ...)."""
-        x, u = self._lifted
+        x, u = self.lifted
         past = (self.scheme.lifting.inputs - 1) * self.scheme.q
         state = np.concatenate([x, u[..., :past]], axis=-1)
         if self.scheme.controller.adaptive:
@@ -259,7 +259,7 @@ class Trace:
         estimator = self.scheme.estimator
         if not isinstance(estimator, GrowingMemory):
             return (None,) * (len(self) + 1)
-        x, u = self._lifted
+        x, u = self.lifted
         data, first = estimator.begin(x.shape[-1], u.shape[-1]), self._first
         found = [np.broadcast_to(data, (*x.shape[1:-1], *data.shape))]
         for k in range(len(self)):
@@ -269,7 +269,7 @@ class Trace:
 
     def _before(self, k: int) -> Array:
         """Return x(k-1) as the transition to x(k) counts it: from the set point of k."""
-        x = self._lifted[0][k - 1]
+        x = self.lifted[0][k - 1]
         if self.set_point is None:
             return x
         return x + np.tile(self.set_point[k - 1] - self.set_point[k], self.scheme.lifting.outputs)
@@ -305,7 +305,7 @@ class Trace:
     def _decrement(self, estimator: GrowingMemory, k: int) -> Array:
         if k < self._first:
             return np.zeros(self.y.shape[1:-1])
-        (x, u), since = self._lifted, range(self._first, k + 1)
+        (x, u), since = self.lifted, range(self._first, k + 1)
         after, before, inputs = (
             np.stack(rows, axis=-2) for rows in zip(*((x[j], self._before(j), u[j]) for j in since), strict=True)
         )

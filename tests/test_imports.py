@@ -94,7 +94,13 @@ PAPER = [
     "paper.sweeps",
 ]
 STUDY = ["study", "study.rivals", "study.compare"]
-APP = ["app", *(f"app.{name}" for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli"))]
+APP = [
+    "app",
+    *(
+        f"app.{name}"
+        for name in ("_finding", "_after", "diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli")
+    ),
+]
 ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}

@@ -280,7 +280,8 @@ def _check(options: argparse.Namespace) -> int:
     from rhl.app.diagnosis import diagnose, diagnose_run
 
     experiment = load(options.config).experiment()
-    found = diagnose(experiment.plant, experiment.scheme, sensor=experiment.sensor, actuator=experiment.actuator)
+    errs = {"sensor": experiment.sensor, "actuator": experiment.actuator, "load": experiment.load}
+    found = diagnose(experiment.plant, experiment.scheme, z0=experiment.z0, **errs)
     _tell(found, f"{experiment.name}: before a run")
     if not options.run:
         return OK if found.sound else MISSED

@@ -9,7 +9,7 @@ import pytest
 from rhl.app.diagnosis import Diagnosis, Finding, diagnose, diagnose_run
 from rhl.basis import Polynomials
 from rhl.controllability import LambdaSearch
-from rhl.disturbances import GaussianNoise, Saturation
+from rhl.disturbances import GaussianNoise, Offset, Saturation
 from rhl.errors import AssumptionWarning, DivergedError, InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
@@ -19,8 +19,9 @@ from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.examples import example
 from rhl.schedules import Constant
-from rhl.scheme import window_scheme
+from rhl.scheme import default_scheme, window_scheme
 from rhl.simulation import simulate
+from rhl.tracking import SetPoint
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
 SCHEME = window_scheme(1, 1, 2)
@@ -241,3 +242,64 @@ def test_it_prints_a_line_for_each_finding():
 def test_refused(act, sentence):
     with pytest.raises(InputError, match=sentence):
         act()
+
+
+FAST = LinearPlant([[2.0, 1.0], [0.0, 1.8]], [[0.0], [1.0]], [[1.0, 0.0]])
+
+
+def test_a_peak_is_predicted_from_the_plant_left_alone():
+    scheme, z0 = default_scheme(1, 1, 2), np.array([1.0, 0.5])
+    found = {of.subject: of for of in diagnose(FAST, scheme, z0=z0).findings}["Peak to expect"]
+    z, growth = z0, []
+    for _ in range(6):  # m + n + m q
+        z = FAST.F @ z
+        growth.append(abs(z[0]))
+    assert found.verdict == "suspect"
+    assert f"the outputs grow {max(growth):.3g} times in the 6 steps" in found.says
+    peak = np.abs(simulate(scheme, FAST, z0, 60).y).max()
+    assert max(growth) / 10 < peak < 10 * max(growth)
+    assert "sample faster" in found.says
+    slow = verdicts(diagnose(PLANT, scheme, z0=[1.0, -1.0]))
+    assert slow["Peak to expect"] == "note"
+
+
+def test_a_peak_is_not_predicted_where_the_scheme_knows_something():
+    scheme = default_scheme(1, 1, 2)
+    told = replace(scheme, units=replace(scheme.units, model_in_sizes=False))
+    for other in (told, SCHEME, replace(scheme, set_point=SetPoint(0.0))):
+        assert "Peak to expect" not in verdicts(diagnose(FAST, other, z0=[1.0, 0.5]))
+    for z0 in (None, [0.0, 0.0]):
+        assert "Peak to expect" not in verdicts(diagnose(FAST, scheme, z0=z0))
+    with pytest.raises(InputError, match=r"z0 must have shape \(2,\)"):
+        diagnose(FAST, scheme, z0=[1.0])
+
+
+def test_a_set_point_that_no_input_holds():
+    tank = example("quadruple-tank").plant
+    for plant, q, verdict in ((tank, 2, "met"), (LinearPlant(tank.F, tank.G[:, :1], tank.H), 1, "violated")):
+        found = diagnose(plant, default_scheme(2, q, 2, set_point=SetPoint([0.5, -0.25])))
+        assert verdicts(found)["Set point, an equilibrium"] == verdict
+    with_one = default_scheme(2, 2, 2, set_point=SetPoint([0.5, -0.25]))
+    assert "hold the outputs at it" in says(diagnose(tank, with_one), "Set point, an equilibrium")
+
+
+def test_a_run_with_a_set_point_is_judged_by_outputs_and_increments():
+    tank = example("quadruple-tank").plant
+    scheme = default_scheme(2, 2, 2, set_point=SetPoint([0.5, -0.25]))
+    found = diagnose_run(simulate(scheme, tank, np.zeros(4), 100))
+    assert verdicts(found)["Set point"] == "met"
+    assert "|y - r|" in says(found, "Set point")
+    plain = diagnose_run(simulate(default_scheme(2, 2, 2), tank, np.ones(4), 100, load=Offset(0.4)))
+    assert verdicts(plain)["Theorem 3, state and input go to zero"] == "suspect"
+
+
+def test_steps_at_a_bound_are_counted():
+    actuator = Saturation(-0.5, 0.5)
+    planned = simulate(default_scheme(1, 1, 2, bounds=actuator), PLANT, [1.0, -1.0], 60, actuator=actuator)
+    count = np.sum(np.abs(planned.v[:, 0]) > 0.5 - 1e-6)
+    assert count > 0
+    assert f"at a bound of the actuator in {count} of 60 steps" in says(diagnose_run(planned), "Input bounds")
+    clipped = simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 60, actuator=actuator)
+    changed = np.sum(clipped.v != clipped.v_computed)
+    assert f"changed by the actuator in {changed} of 60 steps" in says(diagnose_run(clipped), "Input bounds")
+    assert "Input bounds" not in verdicts(diagnose_run(simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 60)))

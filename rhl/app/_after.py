@@ -1,0 +1,139 @@
+"""What a run shows: where its signals went, and which assumption is suspect where they did not go to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.app._finding import Finding, Verdict
+from rhl.closed_loop import Step
+from rhl.errors import InputError
+from rhl.trace import Trace
+
+# A margin below this is lost: what LambdaSearch calls controllable by default.
+LOST = 1e-9
+# The last tenth of a run is taken for its end; there a signal is gone if it is this much smaller than it was.
+_END, _GONE = 10, 1e-3
+# A model that misses more than this share of a run's signals does not reproduce them.
+FITS = 1e-6
+# A peak above this many times the first output is suspect.
+_PEAK = 100.0
+# Gains of the plans above this are not what Assumption 5 hopes for.
+_GAIN = 1e4
+
+
+def _size(rows: Array) -> Array:
+    return np.max(np.abs(rows), axis=-1)
+
+
+def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
+    """Judge state and input; with a set point outputs and increments, since the state has to move."""
+    tracks, hidden = trace.set_point is not None, trace.plant_state is None
+    v = _size(np.diff(trace.v, axis=0, prepend=0.0) if tracks else trace.v)
+    z = _size(trace.error if tracks or hidden else trace.z)
+    name, input_name = ("y - r", "v(k) - v(k-1)") if tracks else ("y" if hidden else "z", "v")
+    end = max(1, len(trace) // _END)
+    first, last = float(np.max(z[:end])), float(np.max(z[-end:]))
+    ends = (
+        f"largest |{name}| {first:.3g} in the first {end} steps, {last:.3g} in the last; |{input_name}| there "
+        f"{v[-end:].max():.3g}"
+    )
+    converged = last <= _GONE * first
+    verdict: Verdict = "met" if converged else "suspect"
+    hint = "it grew: try a longer horizon, or begin from a rough model" if last > first else "not gone yet: run on"
+    reason = "" if converged else f"; {hint}" + (", and read what is suspect below" if suspect_below else "")
+    yield Finding("Set point" if tracks else "Theorem 3, state and input go to zero", verdict, ends + reason)
+    at = int(np.argmax(z))
+    yield Finding(
+        "Peak",
+        "note",
+        f"largest |{name}| {z[at]:.3g} at k = {at}, {z[at] / max(float(z[0]), 1e-300):.3g} times that at k = 0; "
+        f"largest |{input_name}| {v.max():.3g} at k = {int(np.argmax(v))}",
+    )
+    yield from _of_bounds(trace)
+
+
+def _of_bounds(trace: Trace) -> Iterator[Finding]:
+    """Say how often the input was at a bound: one that plans keep, or one at which the actuator changed the input."""
+    bounds, changed = trace.scheme.controller.bounds, np.any(trace.v != trace.v_computed, axis=1)
+    if bounds is not None:
+        width = np.asarray(bounds.high) - bounds.low
+        near = (trace.v <= bounds.low + 1e-6 * width) | (trace.v >= bounds.high - 1e-6 * width)
+        changed = changed | np.any(near, axis=1)
+    if bounds is None and not np.any(changed):
+        return
+    how = "at a bound of the actuator" if bounds is not None else "changed by the actuator"
+    share = f"{np.sum(changed)} of {len(trace)} steps"
+    last = f", last at k = {trace.k[changed][-1]}" if np.any(changed) else ""
+    yield Finding("Input bounds", "outside", f"the input was {how} in {share}{last}")
+
+
+def of_models(trace: Trace) -> Iterator[Finding]:
+    scheme = trace.scheme
+    for name, margins in (("lifted", trace.margin_lifted), ("augmented", trace.margin_augmented)):
+        lost = trace.k[~(margins >= LOST)]
+        least = float(np.nanmin(margins)) if np.any(np.isfinite(margins)) else 0.0
+        says = f"smallest margin {least:.3g}"
+        if len(lost):
+            says += f", below {LOST:g} at {len(lost)} of {len(trace)} steps, first at k = {lost[0]}"
+        lacking: Verdict = "suspect" if scheme.units is None else "outside"
+        yield Finding(f"Theorem 2(iii), {name} pair stays controllable", lacking if len(lost) else "met", says)
+    misfit = _misfit(trace)
+    if misfit is not None:
+        yield Finding(
+            "Assumption 7, a linear model of the run's signals exists",
+            "met" if misfit <= FITS else "suspect",
+            f"the best one leaves a share of {misfit:.2g} of them unexplained"
+            + ("" if misfit <= FITS else "; stack more, append basis functions, or look for noise"),
+        )
+    gains = np.array([_gain(done) for done in trace.steps])
+    at = int(np.argmax(gains))
+    yield Finding(
+        "Assumption 5(b), bounded gains of V1",
+        "met" if gains[at] <= _GAIN else "suspect",
+        f"inputs and states planned at k = {at} are up to {gains[at]:.3g} times the state there",
+    )
+    moved = np.linalg.norm(np.diff(trace.theta, axis=0), axis=-1)
+    if len(moved):
+        end = max(1, len(moved) // _END)
+        yield Finding(
+            "Theorem 2(i), the estimates converge",
+            "met" if moved[-end:].max() <= _GONE * max(moved.max(), 1e-300) else "suspect",
+            f"largest move of theta {moved.max():.3g}, in the last {end} steps {moved[-end:].max():.3g}",
+        )
+    yield Finding(
+        "Certificates", "note", f"every estimate within {float(np.max(trace.newton_decrement)):.1g} of its minimiser"
+    )
+    if scheme.controller.adaptive:
+        yield Finding("Adaptive weight", "note", f"epsilon was let fall {int(trace.steps[-1].stage)} times")
+
+
+def _gain(done: Step) -> float:
+    """Return how many times the state the largest number planned is; infinite where the plan leaves float64."""
+    try:
+        plan = done.plan
+    except (InputError, ArithmeticError):
+        return np.inf
+    size = float(np.max(np.abs(plan.x[0])))
+    return max(float(np.max(np.abs(plan.u))), float(np.max(np.abs(plan.x)))) / size if size > 0 else 0.0
+
+
+def _misfit(trace: Trace) -> float | None:
+    """Return the part of x(k+1) that no linear function of x(k), u(k) gives, relative; None where the run is short."""
+    lifting = trace.scheme.lifting
+    begin, (x, u) = max(lifting.outputs, lifting.inputs), trace.lifted
+    if len(trace) <= begin + 1 or not np.all(np.isfinite(trace.y[-1])):
+        return None
+    known, next_ = np.concatenate([x[begin:-1], u[begin + 1 :]], axis=1), x[begin + 1 :]
+    if len(known) < 2 * known.shape[1]:
+        return None
+    # Each transition by its own size, so that a run's beginning does not hide its end; but not what is nearly zero.
+    size = np.max(np.abs(known), axis=1, keepdims=True)
+    heavy = size[:, 0] > 1e-9 * size.max()
+    if np.sum(heavy) < 2 * known.shape[1]:
+        return None
+    known, next_ = (known / size)[heavy], (next_ / size)[heavy]
+    residual = next_ - known @ np.linalg.lstsq(known, next_)[0]
+    return float(np.linalg.norm(residual) / max(float(np.linalg.norm(next_)), 1e-300))
