@@ -20,6 +20,9 @@ from rhl.model import SignalModel
 from rhl.schedules import PowerDecay, Schedule, epsilon_at
 from rhl.units import RunningUnits
 
+# What an input of the size that moves an output by its size costs, where that output costs one.
+_INPUT = 0.03
+
 
 @dataclass(frozen=True, eq=False)
 class Controller:
@@ -252,10 +255,12 @@ def default_scheme(p: int, q: int, order: int, inputs: Array | float = 0.1) -> S
     n = p * order
     A, B = np.eye(n, k=-p), np.zeros((n, q * order))
     B[:p, :q] = 1.0 / (1.0 + np.abs(np.arange(p)[:, None] - np.arange(q)))
+    past = (order - 1) * q
+    Q = np.diag([1.0] * n + [_INPUT] * past)
     return Scheme(
         lifting=DelayLifting(order, order),
         estimator=GrowingMemory(),
-        controller=Controller(1.0, 1e-4, 1.0, max(30, 2 * (n + (order - 1) * q)), PowerDecay(1)),
+        controller=Controller(Q, _INPUT, Q, max(30, 2 * (n + past)), PowerDecay(1, 2)),
         initial_model=SignalModel(A, B),
         units=RunningUnits(inputs),
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, real_array
+from rhl._checks import Array, positive, real_array
 from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
@@ -38,8 +38,10 @@ class RunningUnits:
     """
 
     inputs: Array | float = 0.1
+    caution: float = 100.0
 
     def __post_init__(self) -> None:
+        positive("caution", self.caution)
         sizes = real_array("inputs", self.inputs)
         if sizes.ndim > 1 or sizes.size == 0 or np.any(sizes <= 0):
             raise InputError(f"inputs must be positive, a number or one for each input, got {self.inputs}")
@@ -59,18 +61,24 @@ class RunningUnits:
         x, u = np.tile(_seen(size), lifting.outputs), np.tile(self._inputs(q), lifting.inputs)
         return np.concatenate([x, np.broadcast_to(u, (*x.shape[:-1], len(u)))], axis=-1)
 
-    def weights(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> tuple[Array, Array]:
+    def weights(
+        self, model: SignalModel, lifting: DelayLifting, size: Array, q: int, unknown: Array | None = None
+    ) -> tuple[Array, Array]:
         """Return one over the sizes of the augmented state, shape (..., n'), and of v, shape (..., q).
 
-        ``model`` is the lifted one in use.
+        ``model`` is the lifted one in use, ``unknown`` what ``GrowingMemory.unknown`` returns, shape (..., n + N_v q);
+        where it is left out, nothing is. Past inputs count as if nothing was unknown: they can no longer be chosen.
         """
         p = size.shape[-1]
         effect = np.abs(model.B[..., :p, :]).reshape(*model.B.shape[:-2], p, lifting.inputs, q).sum(axis=-2)
         gain = np.max(effect / _seen(size)[..., None], axis=-2)
         v = np.where(gain > 0, np.maximum(gain, _LEAST_GAIN / self._inputs(q)), 1.0 / self._inputs(q))
         x = np.tile(1.0 / _seen(size), lifting.outputs)
-        lead = np.broadcast_shapes(x.shape[:-1], v.shape[:-1])
         past = np.tile(v, lifting.inputs - 1)
+        if unknown is not None:
+            first = model.A.shape[-1]
+            v = np.sqrt(v**2 + (self.caution / self._inputs(q)) ** 2 * unknown[..., first : first + q])
+        lead = np.broadcast_shapes(x.shape[:-1], v.shape[:-1])
         return np.concatenate([np.broadcast_to(part, (*lead, part.shape[-1])) for part in (x, past)], axis=-1), v
 
     def _inputs(self, q: int) -> Array:
