@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rhl._checks import Array, describe, real_array
+from rhl._checks import Array, describe, positive, real_array
 from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
@@ -44,6 +44,8 @@ class RunningUnits:
         peak, as long as the sensors see what they do.
     caution : float
         How many times smaller than ``inputs`` an input counts of which nothing is known; 0 for no caution.
+    past : float
+        What past inputs weigh in the augmented state, where outputs of their size weigh one; positive.
     noise : float or array_like, shape (p,)
         Standard deviation of the error of each output, in its unit. The weight of ``GrowingMemory`` is taken to be the
         square of an error of 1e-5 relative to the output's size; it grows to the square of the largest such error.
@@ -51,6 +53,7 @@ class RunningUnits:
 
     inputs: Array | float = 0.1
     caution: float = 100.0
+    past: float = 0.03
     noise: Array | float = 0.0
 
     def __post_init__(self) -> None:
@@ -62,6 +65,7 @@ class RunningUnits:
         if noise.ndim > 1 or noise.size == 0 or np.any(noise < 0):
             wanted = "a number of at least 0, or one for each output"
             raise InputError(f"noise must be {wanted}, got {describe(self.noise)}")
+        object.__setattr__(self, "past", positive("past", self.past))
         object.__setattr__(self, "inputs", sizes)
         object.__setattr__(self, "caution", float(caution))
         object.__setattr__(self, "noise", noise)
@@ -99,7 +103,7 @@ class RunningUnits:
         gain = np.max(effect / _seen(size)[..., None], axis=-2)
         v = np.where(gain > 0, np.maximum(gain, _LEAST_GAIN / self._inputs(q)), 1.0 / self._inputs(q))
         x = np.tile(1.0 / _seen(size), lifting.outputs)
-        past = np.tile(v, lifting.inputs - 1)
+        past = np.tile(np.sqrt(self.past) * v, lifting.inputs - 1)
         if unknown is not None:
             first = model.A.shape[-1]
             v = np.sqrt(v**2 + (self.caution / self._inputs(q)) ** 2 * unknown[..., first : first + q])

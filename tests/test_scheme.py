@@ -232,9 +232,9 @@ def test_default_scheme_is_another_where_noise_is_expected():
     exact, zero, noisy = (default_scheme(2, 1, 3, noise=std) for std in (0.0, [0.0, 0.0], [0.0, 0.1]))
     assert (exact.controller.R, exact.units.caution) == (zero.controller.R, zero.units.caution) == (0.03, 100.0)
     assert (noisy.controller.R, noisy.units.caution) == (1.0, 0.0)
-    for made, of_past in ((exact, 0.03), (noisy, 0.3)):
-        assert np.array_equal(made.controller.Q, np.diag([1.0] * 6 + [of_past] * 2))
-        assert np.array_equal(made.controller.Q, made.controller.QN)
+    assert (exact.units.past, noisy.units.past) == (0.03, 0.3)
+    for made in (exact, noisy):
+        assert (made.controller.Q, made.controller.QN) == (1.0, 1.0)
         assert made.controller.epsilon(9) == pytest.approx(1e-2)
 
 

@@ -152,7 +152,7 @@ def test_the_size_of_an_input_is_what_it_moves():
     model = replace_B(scheme.initial_model, [[0.5, -1.5], [0.0, 0.0]])
     of_x, of_v = units.weights(model, lifting, np.array([4.0]), 1)
     assert np.allclose(of_v, [(0.5 + 1.5) / 4.0])
-    assert np.allclose(of_x, [0.25, 0.25, 0.5])
+    assert np.allclose(of_x, [0.25, 0.25, 0.5 * np.sqrt(units.past)])
 
 
 def test_an_input_counts_in_a_smaller_size_while_its_effect_is_unknown():
@@ -200,6 +200,12 @@ def test_bad_sizes(inputs):
 def test_bad_caution(caution):
     with pytest.raises(InputError, match="caution must"):
         RunningUnits(caution=caution)
+
+
+@pytest.mark.parametrize("past", [0.0, -1.0, np.nan, "1"])
+def test_bad_weight_of_past_inputs(past):
+    with pytest.raises(InputError, match="past must"):
+        RunningUnits(past=past)
 
 
 @pytest.mark.parametrize("noise", [-1.0, [1.0, -1.0], [], [[1.0]], np.inf, "1"])
