@@ -137,7 +137,7 @@ class Step:
 
     @property
     def _sizes(self) -> tuple[Array, Array] | None:
-        return _sizes(self.scheme, self.used, self.size)
+        return _sizes(self.scheme, self.used, self.size, self.data)
 
     @cached_property
     def problem(self) -> V1:
@@ -189,8 +189,14 @@ def _centre(scheme: Scheme, state: ControllerState, size: Array | None) -> Signa
     return scheme.units.initial(state.model, scheme.lifting, size, scheme.q)
 
 
-def _sizes(scheme: Scheme, used: SignalModel, size: Array | None) -> tuple[Array, Array] | None:
-    return None if scheme.units is None else scheme.units.weights(used, scheme.lifting, cast(Array, size), scheme.q)
+def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | None) -> tuple[Array, Array] | None:
+    units, lifting, q = scheme.units, scheme.lifting, scheme.q
+    if units is None:
+        return None
+    found, estimator, unknown = cast(Array, size), scheme.estimator, None
+    if isinstance(estimator, GrowingMemory) and units.caution > 0:
+        unknown = estimator.unknown(cast(Array, data), units.parameters(lifting, found, q))
+    return units.weights(used, lifting, found, q, unknown)
 
 
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
@@ -249,7 +255,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     stage = np.full(lead, state.k) if state.stage is None else state.stage
     X = lifting.with_past_inputs(x[..., 0, :], v_history)
     lifted = centre if controller.model_delay else model
-    used, sizes, factors, counts = lifting.augment(lifted), _sizes(scheme, lifted, size), scheme.factors, X
+    used, sizes, factors, counts = lifting.augment(lifted), _sizes(scheme, lifted, size, data), scheme.factors, X
     if sizes is not None:
         (of_x, of_v), (Q, R, QN) = sizes, factors
         factors = Q * of_x[..., None, :], R * of_v[..., None, :], QN * of_x[..., None, :]

@@ -39,7 +39,7 @@ class GrowingMemory:
     array([[1.5]])
     """
 
-    weight: float = 1e-8
+    weight: float = 1e-10
 
     # What the other parts ask of any estimator.
     window = 1
@@ -81,14 +81,40 @@ class GrowingMemory:
         T, Z = data[..., :d], data[..., d:]
         off = Z - T @ theta.swapaxes(-1, -2)
         rows = np.concatenate([np.broadcast_to(T, (*off.shape[:-2], d, d)), off], axis=-1)
-        roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
-        lead = np.broadcast_shapes(rows.shape[:-2], roots.shape[:-1])
-        held = np.concatenate([roots[..., None] * np.eye(d), np.zeros((*roots.shape[:-1], d, n))], axis=-1)
-        triangle = to_lanes(held, lead, 2)
-        loops.rotate(triangle, to_lanes(rows, lead, 2), d)
+        triangle, lead = self._held(rows, size)
         loops.back_substitute(triangle, d)
         found = theta + from_lanes(triangle[:, d:], lead).swapaxes(-1, -2)
         return SignalModel(found[..., :n], found[..., n:])
+
+    def unknown(self, data: Array, size: Array | None = None) -> Array:
+        r"""Return the share of the variance of each column of theta that the memory leaves open, shape (..., n + q).
+
+        .. math:: \rho s_i^2 \, \big[(T^\top T + \rho \, \mathrm{diag}(s)^2)^{-1}\big]_{ii}
+
+        This is the posterior over the prior variance of a Bayesian linear regression with the prior variance
+        :math:`s_i^{-2}` and errors of variance :math:`\rho`: one before anything is remembered, and near zero once the
+        data tell the column from the others. ``data`` and ``size``, s, are as ``minimise`` takes them.
+        """
+        from rhl.kernels import loops
+
+        d = data.shape[-2]
+        triangle, lead = self._held(data[..., :d], size)
+        inverse = np.concatenate([triangle, np.broadcast_to(np.eye(d)[..., None], triangle.shape)], axis=1)
+        loops.back_substitute(inverse, d)
+        roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
+        return np.asarray(np.square(roots) * np.sum(np.square(from_lanes(inverse[:, d:], lead)), axis=-1))
+
+    def _held(self, rows: Array, size: Array | None) -> tuple[Array, tuple[int, ...]]:
+        """Return, in lanes, the triangle of the rows below the roots of the generator's weights; and the batch."""
+        from rhl.kernels import loops
+
+        d = rows.shape[-2]
+        roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
+        lead = np.broadcast_shapes(rows.shape[:-2], roots.shape[:-1])
+        held = np.concatenate([roots[..., None] * np.eye(d), np.zeros((*roots.shape[:-1], d, rows.shape[-1] - d))], -1)
+        triangle = to_lanes(held, lead, 2)
+        loops.rotate(triangle, to_lanes(rows, lead, 2), d)
+        return triangle, lead
 
     def newton_decrement(
         self, model: SignalModel, centre: SignalModel, after: Array, before: Array, u: Array, size: Array | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -226,6 +226,9 @@ class Scheme:
         given, q = np.shape(self.units.inputs), self.initial_model.q // self.lifting.inputs
         if given not in ((), (q,)):
             raise InputError(f"units must have one size for inputs, or {q}, one for each input, got {given[0]}")
+        given = np.shape(self.units.noise)
+        if given not in ((), (self.p,)):
+            raise InputError(f"units must have one noise, or {self.p}, one for each output, got {given[0]}")
 
     @cached_property
     def factors(self) -> tuple[Array, Array, Array]:
@@ -277,6 +280,7 @@ def default_scheme(
     q: int,
     order: int,
     inputs: Array | float | None = None,
+    noise: Array | float = 0.0,
     *,
     bounds: Saturation | None = None,
     set_point: SetPoint | None = None,
@@ -284,25 +288,40 @@ def default_scheme(
     r"""Return a scheme to begin with, for plants of which nothing is known, not even the size of their signals.
 
     ``p`` and ``q`` are the numbers of outputs and inputs, and ``order`` is an upper bound on the plant's observability
-    index: that many of each are stacked (Lemma 6). ``inputs`` is a size of the inputs to begin with, see
-    :class:`~rhl.units.RunningUnits`. What differs from :func:`window_scheme`, and why:
+    index: that many of each are stacked (Lemma 6). ``inputs`` is a size of the inputs to begin with, and ``noise`` the
+    standard deviation of each output's error, see :class:`~rhl.units.RunningUnits`. What differs from
+    :func:`window_scheme`, and why, measured on the eighteen benchmark plants up to order ten that an input can bring to
+    rest, and on random plants with one to three inputs and outputs:
 
-    - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-8): a window of 2m transitions
+    - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-10): a window of 2m transitions
       has fewer equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer
-      shows. Of eighteen benchmark plants that an input can bring to rest, it is seven with the window and eighteen
-      with this;
+      shows. With the window seven of the eighteen come to rest, and all of them with this. The weight lies well below
+      the squares of signals that count as one: on 474 plants of the kinds above, 1e-8 gives outputs 5 % larger;
     - weights count signals in sizes that the run shows (:class:`~rhl.units.RunningUnits`), since a weight that suits
-      0.05 rad does not suit a column at 300 K. Without, it is twelve of the eighteen;
-    - R = 1e-4 and eps(k) = 1/(1+k): inputs are cheap, and the terminal weight grows slowly while the estimate settles.
-      Neither decides: with R = 1 or a hundred times the pace the same eighteen come to rest;
+      0.05 rad does not suit a column at 300 K. Without, it is fifteen of the eighteen, and one of them runs away;
+    - an input counts in a hundredth of its size while the data leave open what it does (``caution``). An estimate made
+      of few data often says that an input does next to nothing, and asks for one that is far too large. With the
+      flexible shaft of ``rhl.plants.examples`` the largest angle is 1.6 times the first one, and 104 times without;
+    - R = 0.03, and 0.03 for past inputs in the augmented state: the paper's unit weights make an input cost as much as
+      the output that it moves, once for each past input that is stacked. With ones, seventeen of the eighteen come to
+      rest, and the median cost is 21 times that of the regulator that knows the plant; with these numbers it is 8.5;
+    - eps(k) = 1/(1+k)^2: with 1/(1+k) a plan over a finite horizon lets a slow unstable mode grow to a level that falls
+      with the square root of k only, and outputs of the 474 plants are 5 % larger. It grows too soon where data take
+      long to determine the estimate: ``bdt1``, of order eleven, reaches 74 times its first outputs, with (1 + k/24)^-3
+      1.1 times, for 24 entries of x and u;
     - the initial model only moves outputs along, and input j moves output i by 1/(1 + |i - j|) of its size: the first
-      inputs, about as large as the size given, are what the estimate learns from. No two inputs do the same, since
-      inputs that the model cannot tell apart stay equal until rounding parts them.
+      inputs, below the size given, are what the estimate learns from. No two inputs do the same, since inputs that the
+      model cannot tell apart stay equal until rounding parts them.
+
+    Where noise is expected, small inputs teach nothing and outputs cannot be brought below the noise: there is no
+    caution, R = 1, past inputs count 0.3, and the memory's weight is the square of the noise over the output's size. On
+    two sets of 204 and 186 plants with errors of 1 % of the first outputs, the geometric mean of the costs is 0.57 and
+    0.98 times that of the scheme that is not told, with errors of 5 % it is 0.45 and 0.90 times.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
     stacked = order if set_point is None else order + 1
-    return scheme_for(DelayLifting(stacked, stacked), p, q, inputs, bounds=bounds, set_point=set_point)
+    return scheme_for(DelayLifting(stacked, stacked), p, q, inputs, noise, bounds=bounds, set_point=set_point)
 
 
 def scheme_for(
@@ -310,6 +329,7 @@ def scheme_for(
     p: int,
     q: int,
     inputs: Array | float | None = None,
+    noise: Array | float = 0.0,
     *,
     bounds: Saturation | None = None,
     set_point: SetPoint | None = None,
@@ -323,12 +343,15 @@ def scheme_for(
         A[:p, :p] = np.eye(p)
     if inputs is None:
         inputs = 0.1 if bounds is None else 0.01 * (np.asarray(bounds.high) - bounds.low)
+    units, R = RunningUnits(inputs, noise=noise), 0.03
+    if np.any(np.asarray(units.noise) > 0):
+        R, units = 1.0, replace(units, caution=0.0, past=0.3)
     horizon = max(30, 2 * (n + (lifting.inputs - 1) * q))
     return Scheme(
         lifting=lifting,
         estimator=GrowingMemory(),
-        controller=Controller(1.0, 1e-4, 1.0, horizon, PowerDecay(1), bounds=bounds),
+        controller=Controller(1.0, R, 1.0, horizon, PowerDecay(1, 2), bounds=bounds),
         initial_model=SignalModel(A, B),
-        units=RunningUnits(inputs) if lifting.basis is None else None,
+        units=units if lifting.basis is None else None,
         set_point=set_point,
     )

@@ -54,6 +54,33 @@ def test_sizes_are_weights_of_the_generator():
     assert np.abs(unsized.theta - expected.theta).max() > 1e-6
 
 
+def test_what_the_memory_leaves_open():
+    """The share is the diagonal of the posterior over that of the prior variance, here of an inverse written out."""
+    x, u, rng = signals(5, 3, 3, 2)
+    memory, size = GrowingMemory(1e-3), 10.0 ** rng.uniform(-1, 1, 5)
+    assert np.allclose(memory.unknown(memory.begin(3, 2), size), 1.0)
+    data = absorbed(memory, x, u)
+    phi = np.concatenate([x[:-1], u], axis=1)
+    prior = 1e-3 * np.diag(size**2)
+    expected = np.diag(np.linalg.inv(phi.T @ phi + prior)) * np.diag(prior)
+    found = memory.unknown(data, size)
+    assert np.allclose(found, expected, rtol=1e-8)
+    assert not np.allclose(memory.unknown(data), expected, rtol=0.1)
+    # Three transitions cannot tell five columns apart, and more never leave more open.
+    assert found.sum() > 2 - 1e-9
+    more = absorbed(memory, *signals(6, 30, 3, 2)[:2])
+    assert memory.unknown(more, size).max() < 0.1
+
+
+def test_what_is_left_open_of_a_batch_is_that_of_its_members():
+    memory = GrowingMemory()
+    members = [absorbed(memory, *signals(seed, 2, 2, 1)[:2]) for seed in range(3)]
+    size = np.array([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0], [0.1, 5.0, 1.0]])
+    together = memory.unknown(np.stack(members), size)
+    for found, data, of in zip(together, members, size, strict=True):
+        assert np.array_equal(found, memory.unknown(data, of))
+
+
 def test_a_batch_is_its_members():
     x, u, rng = signals(7, 12, 3, 1)
     members = np.stack([x, 2 * x, rng.standard_normal(x.shape)])
@@ -74,7 +101,7 @@ def test_memory_does_not_grow():
 
 def misfit(trace, k):
     """How far the model of step k is from every transition of the run that is all measured, relative."""
-    x, u = trace._lifted
+    x, u = trace.lifted
     first = trace._first
     predicted = trace.model(k).step(x[first - 1 : -1], u[first:])
     return np.abs(predicted - x[first:]).max() / np.abs(x).max()

@@ -17,7 +17,7 @@ from rhl.losses import Entropy, LogCosh
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, window_scheme
+from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 
 NAN = np.nan
@@ -226,6 +226,16 @@ def test_default_is_what_it_says(p, q, order):
     assert made.controller.epsilon(1) == pytest.approx(1 / 11)
     assert made.mixing == ConstantMixing(0.0)
     assert np.array_equal(made.initial_model.A[-1], np.ones(n))
+
+
+def test_default_scheme_is_another_where_noise_is_expected():
+    exact, zero, noisy = (default_scheme(2, 1, 3, noise=std) for std in (0.0, [0.0, 0.0], [0.0, 0.1]))
+    assert (exact.controller.R, exact.units.caution) == (zero.controller.R, zero.units.caution) == (0.03, 100.0)
+    assert (noisy.controller.R, noisy.units.caution) == (1.0, 0.0)
+    assert (exact.units.past, noisy.units.past) == (0.03, 0.3)
+    for made in (exact, noisy):
+        assert (made.controller.Q, made.controller.QN) == (1.0, 1.0)
+        assert made.controller.epsilon(9) == pytest.approx(1e-2)
 
 
 def test_default_brings_an_unstable_plant_to_rest():

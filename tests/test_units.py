@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rhl import (
+    GaussianNoise,
     GrowingMemory,
     InputError,
     LinearConstraints,
@@ -24,6 +25,7 @@ from rhl import (
 from rhl.basis import Polynomials
 from rhl.lifting import DelayLifting
 from rhl.losses import LogCosh, WeightedSquares
+from rhl.plants.examples import example
 
 STEPS = 60
 
@@ -64,6 +66,22 @@ def test_the_same_run_in_kilonewtons(seed):
     assert gap(run, simulate(default_scheme(2, 2, 2), other, z0, STEPS), 1.0, inputs) > 1e-2
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_same_run_in_millimetres_with_noise(seed):
+    found, z0 = plant(seed)
+    outputs, std = np.array([1e3, 2e-4]), np.array([0.01, 0.03])
+    other = LinearPlant(found.F, found.G, outputs[:, None] * found.H)
+
+    def noisy(of, units, expected):
+        sensor = GaussianNoise(units * std, seed=seed)
+        return simulate(default_scheme(2, 2, 2, noise=expected), of, z0, STEPS, sensor=sensor)
+
+    run = noisy(found, 1.0, std)
+    assert gap(run, noisy(other, outputs, outputs * std), outputs) < 1e-6
+    # The control: noise has the unit of its output.
+    assert gap(run, noisy(other, outputs, std), outputs) > 1e-2
+
+
 def test_inputs_that_the_initial_model_cannot_tell_apart_are_parted_by_rounding():
     """Why no two columns of B(0) are equal: with equal ones the inputs stay equal, and a run is what rounding makes."""
     gaps = []
@@ -94,7 +112,8 @@ def test_a_plant_at_rest_stays_there():
 def test_steps_plans_and_weights_of_a_trace_are_those_taken():
     found, z0 = plant(3)
     first = default_scheme(2, 2, 2)
-    for scheme in (first, replace(first, controller=replace(first.controller, model_delay=1))):
+    noisy = default_scheme(2, 2, 2, noise=[1e-3, 0.1])
+    for scheme in (first, replace(first, controller=replace(first.controller, model_delay=1)), noisy):
         run, loop = simulate(scheme, found, z0, 15), closed_loop(scheme, found, z0)
         state = start(scheme)
         for k, taken in zip(range(15), loop, strict=False):
@@ -137,7 +156,38 @@ def test_the_size_of_an_input_is_what_it_moves():
     model = replace_B(scheme.initial_model, [[0.5, -1.5], [0.0, 0.0]])
     of_x, of_v = units.weights(model, lifting, np.array([4.0]), 1)
     assert np.allclose(of_v, [(0.5 + 1.5) / 4.0])
-    assert np.allclose(of_x, [0.25, 0.25, 0.5])
+    assert np.allclose(of_x, [0.25, 0.25, 0.5 * np.sqrt(units.past)])
+
+
+def test_an_input_counts_in_a_smaller_size_while_its_effect_is_unknown():
+    scheme = default_scheme(1, 2, 2, inputs=[0.5, 2.0])
+    units, lifting, size = scheme.units, scheme.lifting, np.array([4.0])
+    model = replace_B(scheme.initial_model, [[0.5, -1.5, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    known_x, known_v = units.weights(model, lifting, size, 2, np.zeros(6))
+    assert np.allclose(known_v, units.weights(model, lifting, size, 2)[1])
+    found_x, found_v = units.weights(model, lifting, size, 2, np.array([0.0, 0.0, 1.0, 0.04, 1.0, 1.0]))
+    assert np.allclose(found_v, np.hypot(known_v, units.caution * np.array([1.0 / 0.5, 0.2 / 2.0])))
+    assert np.array_equal(found_x, known_x)
+    bold = replace(units, caution=0.0).weights(model, lifting, size, 2, np.ones(6))[1]
+    assert np.array_equal(bold, known_v)
+
+
+def test_caution_keeps_a_flexible_shaft_in_place():
+    """Its input does little at first, so that an estimate made of few data asks for a very large one."""
+    shaft, scheme = example("flexible-shaft"), default_scheme(1, 1, 4)
+    bold = replace(scheme, units=replace(scheme.units, caution=0.0))
+    peaks = [np.abs(simulate(of, shaft.plant, shaft.z0, 200).y).max() for of in (scheme, bold)]
+    assert peaks[0] < 3 < 10 < peaks[1]
+
+
+def test_noise_holds_the_estimate():
+    """Told of the noise, the memory's weight counts signals in sizes as large as the noise makes them."""
+    units, lifting = default_scheme(2, 1, 2, noise=[0.0, 0.3]).units, DelayLifting(2, 2)
+    exact = default_scheme(2, 1, 2).units
+    size = np.array([5.0, 3.0])
+    grown = units.parameters(lifting, size, 1) / exact.parameters(lifting, size, 1)
+    assert np.allclose(grown, 0.1 / 1e-5)
+    assert np.array_equal(*(of.parameters(lifting, np.array([5.0, 0.0]), 1) for of in (units, exact)))
 
 
 def replace_B(model, B):
@@ -163,10 +213,30 @@ def test_a_window_counts_in_sizes_too():
     assert gap(run, changed, np.array([1e3, 1e-3]), 1.0) > 1e-2
 
 
+@pytest.mark.parametrize("caution", [-1.0, [1.0], np.nan, "1"])
+def test_bad_caution(caution):
+    with pytest.raises(InputError, match="caution must"):
+        RunningUnits(caution=caution)
+
+
+@pytest.mark.parametrize("past", [0.0, -1.0, np.nan, "1"])
+def test_bad_weight_of_past_inputs(past):
+    with pytest.raises(InputError, match="past must"):
+        RunningUnits(past=past)
+
+
+@pytest.mark.parametrize("noise", [-1.0, [1.0, -1.0], [], [[1.0]], np.inf, "1"])
+def test_bad_noise(noise):
+    with pytest.raises(InputError, match="noise must"):
+        RunningUnits(noise=noise)
+
+
 def test_bad_schemes():
     scheme = default_scheme(2, 2, 2)
     with pytest.raises(InputError, match="units must have one size for inputs, or 2, one for each input, got 3"):
         replace(scheme, units=RunningUnits([1.0, 1.0, 1.0]))
+    with pytest.raises(InputError, match="units must have one noise, or 2, one for each output, got 3"):
+        default_scheme(2, 2, 2, noise=[1.0, 1.0, 1.0])
     with pytest.raises(InputError, match="units must be a RunningUnits, got 1"):
         replace(scheme, units=1)
     known = ProximalEstimator(4, constraints=LinearConstraints.shift(2, 2, 2, 2))

@@ -14,7 +14,20 @@ from pathlib import Path
 from typing import Any
 
 from rhl._checks import Array, describe, real_array, shown
-from rhl.app._keys import COUNT, LINE, NUMBER, POSITIVE, SIZE, VECTOR, Section, fitted, key, list_of, table_of
+from rhl.app._keys import (
+    COUNT,
+    LINE,
+    NOT_NEGATIVE,
+    NUMBER,
+    POSITIVE,
+    SIZE,
+    VECTOR,
+    Section,
+    fitted,
+    key,
+    list_of,
+    table_of,
+)
 from rhl.app._plants import PLANTS
 from rhl.app._sections import (
     ControllerSection,
@@ -62,6 +75,13 @@ class Config(Section):
         list_of(POSITIVE),
         default=None,
     )
+    noise = key(
+        "{}, or one for each output: the standard deviation of the errors of the sensors that the scheme is to expect "
+        "where order is given; noise in [simulation] is what the run has",
+        NOT_NEGATIVE,
+        list_of(NOT_NEGATIVE),
+        default=0.0,
+    )
     set_point = key(
         "{}, or one for each output: where the outputs are to go, whatever constant disturbance acts; if left out, "
         "outputs and inputs go to zero",
@@ -98,16 +118,16 @@ class Config(Section):
 
     def _scheme(self, plant: Plant, actuator: Saturation | None) -> Scheme:
         goal, size = self._sized("set_point", plant.p, "output"), self._sized("input_size", plant.q, "input")
-        set_point = None if goal is None else SetPoint(goal)
+        set_point, noise = None if goal is None else SetPoint(goal), self._sized("noise", plant.p, "output")
         chosen = None
         if self.order is not None:
-            chosen = default_scheme(plant.p, plant.q, self.order, size, bounds=actuator, set_point=set_point)
+            chosen = default_scheme(plant.p, plant.q, self.order, size, noise, bounds=actuator, set_point=set_point)
         lifting_, estimator_, controller_ = self._sections()
         with _under("lifting"):
             lifting = lifting_.lifting(None if chosen is None else chosen.lifting)
             lifting.size(plant.p)
             if chosen is not None and lifting != chosen.lifting:
-                chosen = scheme_for(lifting, plant.p, plant.q, size, bounds=actuator, set_point=set_point)
+                chosen = scheme_for(lifting, plant.p, plant.q, size, noise, bounds=actuator, set_point=set_point)
         with _under("knowledge"):
             constraints = None if self.knowledge is None else self.knowledge.constraints(lifting, plant.p, plant.q)
         with _under("controller"):
@@ -118,8 +138,9 @@ class Config(Section):
                 initial_model = self._reconciled(estimator_, initial_model, constraints)
             mixing, estimator = estimator_.mixed_by(chosen), estimator_.estimator(chosen, constraints)
         units = None if chosen is None or constraints is not None else chosen.units
-        if units is not None:
-            units = replace(units, model_in_sizes=not own)
+        if units is not None and own:
+            # The model that the file gives says what inputs do, so that there is nothing to be cautious about.
+            units = replace(units, model_in_sizes=False, caution=0.0)
         with _under("controller", otherwise="estimator"):
             return Scheme(lifting, estimator, controller, initial_model, mixing, units, set_point)
 
@@ -240,7 +261,8 @@ def parse(data: dict[str, Any]) -> Config:
     # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
     for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
         raise InputError(sentence)
-    config.heeded("input_size", "order" in given, "where order is left out")
+    for name in ("input_size", "noise"):
+        config.heeded(name, "order" in given, "where order is left out")
     return config
 
 
@@ -274,9 +296,14 @@ def schema() -> dict[str, Any]:
     """Return the file's form as a JSON schema, for editors that complete and check TOML."""
     needed = {section.__name__: section.needed() for section in (LiftingSection, EstimatorSection, ControllerSection)}
     whole = dict(zip(_NEEDED, ({"required": names} for names in needed.values()), strict=True))
+    chosen = [{"required": [name]} for name in ("input_size", "noise")]
     either = {
         "if": {"required": ["order"]},
-        "else": {"required": list(_NEEDED), "properties": whole, "not": {"required": ["input_size"]}},
+        "else": {
+            "required": list(_NEEDED),
+            "properties": whole,
+            "not": {"anyOf": [{"required": [name]} for name in ("input_size", "noise")]},
+        },
     }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "rhl run", **Config.schema(), **either}
 

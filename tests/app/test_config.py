@@ -161,7 +161,7 @@ REFUSED = [
     (
         "[controller]",
         "[controler]",
-        "controler is not a known key; expected one of name, steps, order, input_size, set_point, plant",
+        "controler is not a known key; expected one of name, steps, order, input_size, noise, set_point, plant",
     ),
     ("[lifting]\noutputs = 4\ninputs = 4\n", "", "lifting must be a section, got nothing; add the section"),
 ]
@@ -473,6 +473,17 @@ def test_bounds_of_the_actuator_are_in_the_plan_beside_an_order():
     assert read(f"{planned}\n{limits}").experiment().scheme.controller.bounds is not None
 
 
+def test_noise_that_the_scheme_expects():
+    found = read(ORDER.replace("order = 2", "order = 2\nnoise = 0.02")).experiment()
+    assert found.scheme.units.noise == 0.02
+    assert found.sensor is None
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    told = simulate(default_scheme(1, 1, 2, noise=0.02), plant, [1.0, -1.0], 40).v
+    assert np.array_equal(simulate(found.scheme, plant, [1.0, -1.0], 40).v, told)
+    with pytest.raises(InputError, match="noise must be a number or have 1 entries, one for each output, got 2"):
+        read(ORDER.replace("order = 2", "order = 2\nnoise = [0.1, 0.2]")).experiment()
+
+
 def test_a_set_point_and_a_load():
     held = ORDER.replace("steps = 80", "steps = 150\nset_point = 2.0")
     trace = read(f"{held}\n[simulation]\nload = 0.3").experiment().run()
@@ -489,6 +500,7 @@ def test_an_input_size_needs_an_order():
     with pytest.raises(InputError, match="input_size must be left out where order is left out"):
         read(f"input_size = 2\n{LINEAR}").experiment()
     assert verdicts(tomllib.loads(f"input_size = 2\n{LINEAR}")) == (False, False)
+    assert verdicts(tomllib.loads(f"noise = 2\n{LINEAR}")) == (False, False)
     assert verdicts(tomllib.loads(ORDER)) == (True, True)
     partly = {"rough": {"F": [[1]], "G": [[1]], "H": [[1]]}, "controller": {"R": 2.0}, "lifting": {"outputs": 3}}
     assert verdicts(tomllib.loads(ORDER) | partly) == (True, True)
@@ -505,7 +517,7 @@ def test_the_schema_and_the_parser_agree_on_every_key(path):
     seen = set()
     for plant in [tomllib.loads(LINEAR)["plant"], *(PLANTS if tables == ["plant"] else [])]:
         for value in VALUES:
-            whole = tomllib.loads(ORDER if path in ("order", "input_size") else LINEAR)
+            whole = tomllib.loads(ORDER if path in ("order", "input_size", "noise") else LINEAR)
             data = whole | {"plant": dict(plant)}
             table = data.setdefault(tables[0], {}) if tables else data
             if tables == ["rough"]:
