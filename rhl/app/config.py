@@ -299,11 +299,7 @@ def schema() -> dict[str, Any]:
     chosen = [{"required": [name]} for name in ("input_size", "noise")]
     either = {
         "if": {"required": ["order"]},
-        "else": {
-            "required": list(_NEEDED),
-            "properties": whole,
-            "not": {"anyOf": [{"required": [name]} for name in ("input_size", "noise")]},
-        },
+        "else": {"required": list(_NEEDED), "properties": whole, "not": {"anyOf": chosen}},
     }
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "rhl run", **Config.schema(), **either}
 
