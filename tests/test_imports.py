@@ -24,6 +24,8 @@ CORE = [
     "plants",
     "plants.examples",
     "plants.analysis",
+    "plants._benchmark",
+    "plants._literature",
     "plants.benchmarks",
     "basis",
     "lifting",
