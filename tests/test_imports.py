@@ -92,8 +92,14 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-STUDY = ["study", "study.rivals", "study.compare"]
-APP = ["app", *(f"app.{name}" for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli"))]
+STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare"]
+APP = [
+    "app",
+    *(
+        f"app.{name}"
+        for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "_compare", "cli")
+    ),
+]
 ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
@@ -105,7 +111,7 @@ FORBIDDEN = {
     "memory": {"lifting", *PLANTS},
     "units": {"estimator", "losses", *PLANTS},
     "lifting": PLANTS,
-    **{f"paper.{name}": {"study", "study.rivals", "study.compare"} for name in ("published", "pages", "sweeps")},
+    **{f"paper.{name}": set(STUDY) for name in ("published", "pages", "sweeps")},
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
