@@ -295,7 +295,7 @@ def summaries(scores: Iterable[Score]) -> list[Summary]:
     Examples
     --------
     >>> plant = LinearPlant([[1.2]], [[1.0]], [[1.0]])
-    >>> for row in summaries(compare(plant, [1.0], 1, 60, methods=["known-plant", "deepc"], seeds=3)):
+    >>> for row in summaries(compare(plant, [1.0], 1, 120, methods=["known-plant", "deepc"], seeds=3)):
     ...     print(row.method, row.runs, row.at_rest)
     known-plant 1 1
     deepc 3 3

@@ -129,6 +129,11 @@ def hankel(signal: Array, length: int) -> Array:
     return np.stack([signal[i : i + length].ravel() for i in range(columns)], axis=1)
 
 
+def excitation_length(task: Task) -> int:
+    """Return how many steps ``deepc`` excites, the least that persistency of excitation asks for."""
+    return (task.plant.q + 1) * (task.stacked + _AHEAD + task.plant.p * task.order) - 1
+
+
 def deepc(task: Task) -> Run:
     r"""Excite, then plan every input on the trajectories measured meanwhile.
 
@@ -148,7 +153,7 @@ def deepc(task: Task) -> Run:
     31(18), 2021, so that without active bounds a plan is linear in what was measured.
     """
     p, q, m = task.plant.p, task.plant.q, task.stacked
-    length = (q + 1) * (m + _AHEAD + p * task.order) - 1
+    length = excitation_length(task)
     rng, ys, vs = task.rng(), [np.zeros((m, p))], [np.zeros((m, q))]
     made: list[Predictor] = []
     seen: tuple[list[Array], list[Array]] = ([], [])

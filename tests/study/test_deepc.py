@@ -6,7 +6,7 @@ from scipy.optimize import LinearConstraint, minimize
 
 from rhl import LinearPlant
 from rhl.errors import NotSolvedError
-from rhl.study.deepc import Predictor, deepc, hankel
+from rhl.study.deepc import Predictor, deepc, excitation_length, hankel
 from rhl.study.rivals import known_plant, pose
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
@@ -106,7 +106,9 @@ def test_regularised_plans_against_a_general_solver(bound):
 def test_a_run_excites_and_then_brings_to_rest():
     task = pose(PLANT, Z0, 2, 120)
     run = deepc(task)
-    length = 2 * (2 + 20 + 2) - 1
+    length = excitation_length(task)
+    assert length == 2 * (2 + 20 + 2) - 1
+    assert excitation_length(pose(PLANT, Z0, 2, 120, noise=0.01)) == 2 * (6 + 20 + 2) - 1
     drawn = task.size * task.rng().standard_normal((length, 1))
     assert np.array_equal(run.v[:length], drawn)
     assert np.abs(run.y[-20:]).max() < 1e-3 < np.abs(run.y[:length]).max()
