@@ -92,7 +92,7 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare"]
+STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare", "study.record"]
 APP = [
     "app",
     *(

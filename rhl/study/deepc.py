@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from rhl._checks import Array
-from rhl.errors import NotSolvedError
 from rhl.lifting import remember
 from rhl.study.rivals import Run, Task, closed
 
@@ -94,7 +93,10 @@ class Predictor:
         )
 
     def plan(self, u: Array, y: Array) -> Array:
-        """Return the inputs planned, shape (N, q), after inputs u and outputs y, shapes (T_ini, q) and (T_ini, p)."""
+        """Return the inputs planned, shape (N, q), after inputs u and outputs y, shapes (T_ini, q) and (T_ini, p).
+
+        Where the solver fails to find those within the bounds, they are those without bounds, clipped.
+        """
         ini = np.concatenate([u.ravel(), y.ravel()])
         free = self._free @ ini
         planned = (self.Uf @ free).reshape(-1, len(self.R))
@@ -103,22 +105,23 @@ class Predictor:
         return self._bounded(free)
 
     def _bounded(self, free: Array) -> Array:
-        """Return the inputs planned within the bounds: the nearest to the free ones, in the measure of the cost."""
+        """Return the inputs planned within the bounds: the nearest to the free ones, in the measure of the cost.
+
+        Where the solver finds none, the free ones are clipped.
+        """
         import piqp  # here, because most runs need neither
 
         assert self.bound is not None
         # |stack (free + beside w)|^2 is least at w = 0, so that only |t|^2 is left, t = triangle w.
         limit = np.tile(self.bound, len(self.Uf) // len(self.bound))
         reach, planned = self._reach / limit[:, None], (self.Uf @ free) / limit
+        reach = reach / np.max(np.abs(reach))  # which only counts t in another unit
         solver = piqp.DenseSolver()
         n = reach.shape[1]
         solver.setup(np.eye(n, order="F"), np.zeros(n), None, None, np.asfortranarray(reach), -1 - planned, 1 - planned)
-        status = solver.solve()
-        if status != piqp.Status.PIQP_SOLVED:
-            raise NotSolvedError(
-                f"the plan within the bounds must be solved for, got {status.name} for inputs of up to "
-                f"{np.max(np.abs(planned)):.3g} times the bounds without them"
-            )
+        if solver.solve() != piqp.Status.PIQP_SOLVED:
+            # Far outside the bounds, where the plant has run away, solvers give up.
+            return (np.clip(planned, -1.0, 1.0) * limit).reshape(-1, len(self.R))
         found = planned + reach @ solver.result.x
         return (np.clip(found, -1.0, 1.0) * limit).reshape(-1, len(self.R))
 
