@@ -51,18 +51,19 @@ def paper_scheme(p: int, q: int, order: int) -> Scheme:
     )
 
 
-def our_scheme(p: int, q: int, order: int, bound: Array | None) -> Scheme:
-    """Return the default scheme for outputs of size p, inputs of size q, and inputs that may be bounded, shape (q,).
+def our_scheme(p: int, q: int, order: int, bound: Array | None = None, noise: Array | float = 0.0) -> Scheme:
+    """Return the default scheme for outputs of size p and inputs of size q, as it is run here.
 
-    It is not told the bound: like those of every scheme here, its inputs are clipped, and it learns from what was
-    applied.
+    It is told neither the bound of each input, shape (q,), nor the standard deviation of the outputs' errors, shape
+    (p,): like those of every scheme here, its inputs are clipped, and it learns from what was applied.
     """
     return default_scheme(p, q, order)
 
 
-_SCHEMES: dict[str, Callable[[int, int, int, Array | None], Scheme]] = {
-    "paper": lambda p, q, order, bound: paper_scheme(p, q, order),
-    "window_scheme": lambda p, q, order, bound: window_scheme(p, q, order),
+# From p, q, order, bound and noise.
+_SCHEMES: dict[str, Callable[[int, int, int, Array | None, Array | float], Scheme]] = {
+    "paper": lambda p, q, order, bound, noise: paper_scheme(p, q, order),
+    "window_scheme": lambda p, q, order, bound, noise: window_scheme(p, q, order),
     "default_scheme": our_scheme,
 }
 
@@ -71,8 +72,13 @@ def _one_by_one(run: Callable[[Task], Run]) -> Callable[[Sequence[Task]], list[R
     return lambda tasks: [run(task) for task in tasks]
 
 
-def _of_scheme(make: Callable[[int, int, int, Array | None], Scheme]) -> Callable[[Sequence[Task]], list[Run]]:
-    return lambda tasks: _simulated(make(tasks[0].plant.p, tasks[0].plant.q, tasks[0].order, tasks[0].bound), tasks)
+def _of_scheme(name: str) -> Callable[[Sequence[Task]], list[Run]]:
+    def run(tasks: Sequence[Task]) -> list[Run]:
+        of = tasks[0]
+        scheme = _SCHEMES[name](of.plant.p, of.plant.q, of.order, of.bound, of.noise * of.output_sizes)
+        return _simulated(scheme, tasks)
+
+    return run
 
 
 # Each takes tasks that differ in seeds only.
@@ -81,7 +87,7 @@ _RUN: dict[str, Callable[[Sequence[Task]], list[Run]]] = {
     "excite-identify": _one_by_one(excite_identify_regulate),
     "adaptive-lq": adaptive_lq,
     "deepc": _one_by_one(deepc),
-    **{name: _of_scheme(make) for name, make in _SCHEMES.items()},
+    **{name: _of_scheme(name) for name in _SCHEMES},
 }
 METHODS = tuple(_RUN)
 # These draw something even where there is no noise; known-plant sees the state and so draws nothing at all.

@@ -159,8 +159,23 @@ def test_an_interrupt_is_let_through(monkeypatch):
 
 
 def test_our_scheme_is_the_default():
-    scheme = our_scheme(2, 1, 3, np.array([1.0]))
+    scheme = our_scheme(2, 1, 3, np.array([1.0]), np.array([0.1, 0.2]))
     assert (scheme.p, scheme.q, scheme.lifting.outputs) == (2, 1, 3)
+
+
+def test_a_scheme_can_be_told_bounds_and_noise(monkeypatch):
+    """What stands in the place of our scheme is given both, in the plant's own units."""
+    told = []
+    monkeypatch.setitem(
+        module._SCHEMES, "default_scheme", lambda *given: told.append(given) or paper_scheme(*given[:3])
+    )
+    compare(PLANT, 2.0 * Z0, 2, 40, noise=0.01, bounded=3.0, methods=["default_scheme"])
+    compare(PLANT, 2.0 * Z0, 2, 40, methods=["default_scheme"])
+    (p, q, order, bound, noise), (*_, free, exact) = told
+    assert (p, q, order, free) == (1, 1, 2, None)
+    assert bound.shape == (1,)
+    assert np.allclose(noise, 0.02)
+    assert not np.any(exact)
 
 
 def test_summaries_count():
