@@ -24,6 +24,8 @@ CORE = [
     "plants",
     "plants.examples",
     "plants.analysis",
+    "plants._benchmark",
+    "plants._literature",
     "plants.benchmarks",
     "basis",
     "lifting",
@@ -93,12 +95,23 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-STUDY = ["study", "study.rivals", "study.compare"]
+STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare", "study.record"]
 APP = [
     "app",
     *(
         f"app.{name}"
-        for name in ("_finding", "_after", "diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli")
+        for name in (
+            "_finding",
+            "_after",
+            "diagnosis",
+            "_keys",
+            "_plants",
+            "_sections",
+            "config",
+            "_streams",
+            "_compare",
+            "cli",
+        )
     ),
 ]
 ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
@@ -112,7 +125,7 @@ FORBIDDEN = {
     "memory": {"lifting", *PLANTS},
     "units": {"estimator", "losses", *PLANTS},
     "lifting": PLANTS,
-    **{f"paper.{name}": {"study", "study.rivals", "study.compare"} for name in ("published", "pages", "sweeps")},
+    **{f"paper.{name}": set(STUDY) for name in ("published", "pages", "sweeps")},
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.

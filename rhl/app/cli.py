@@ -158,8 +158,18 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "plants", nargs="*", metavar="PLANT", help="which plants; all up to order ten if none is named"
     )
+    compare.add_argument("--collection", metavar="NAME", help="those of one collection only: compleib or literature")
+    compare.add_argument("--method", action="append", metavar="NAME", help="a method to run; all where none is named")
     compare.add_argument("--steps", type=int, default=400, metavar="T", help="how many steps (400)")
-    compare.set_defaults(command=_compare, output=None, plot=None)
+    compare.add_argument(
+        "--noise", type=float, action="append", metavar="S", help="errors of outputs, relative to the first (0)"
+    )
+    compare.add_argument(
+        "--bounded", action="store_true", help="inputs at most three times those of the regulator that knows the plant"
+    )
+    compare.add_argument("--seeds", type=int, default=1, metavar="N", help="how many runs where anything is random (1)")
+    compare.add_argument("--output", type=target_name, metavar="CSV", help="write a row for each run; - prints them")
+    compare.set_defaults(command=_compare, plot=None)
 
     schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
     schema.add_argument("--output", type=target_name, metavar="FILE", help="write it to this file instead; - prints it")
@@ -187,7 +197,7 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--plot", type=file_name, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
         )
-    for command in (reproduce, run, new, schema, verify):
+    for command in (reproduce, run, new, compare, schema, verify):
         command.add_argument("--force", action="store_true", help="write over files that exist")
     return parser
 
@@ -328,35 +338,10 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from rich.table import Table
+    from rhl.app._compare import compared
 
-    from rhl.plants.benchmarks import benchmark, names
-    from rhl.study.compare import METHODS, Score, compare
-
-    plants = [benchmark(name) for name in options.plants or names(largest=10)]
-    done: list[tuple[str, tuple[Score, ...]]] = []
-    with progress("comparing", len(plants)) as show:
-        try:
-            for plant in plants:
-                done.append((plant.name, compare(plant.sampled(), plant.z0, plant.order(), options.steps)))
-                show(len(done))
-        except KeyboardInterrupt:
-            print(f"rhl: interrupted after {len(done)} of {len(plants)} plants", file=sys.stderr)
-    table = Table(title=f"{len(done)} plants, {options.steps} steps, no noise", title_justify="left")
-    for heading in ("plant", "method", "at rest", "peak", "cost", "largest input", "1 % at k"):
-        table.add_column(heading, no_wrap=True, justify="left" if heading in ("plant", "method") else "right")
-    for name, scores in done:
-        for score in scores:
-            numbers = (f"{number:.3g}" for number in (score.peak, score.cost, score.largest_input))
-            settled = "" if score.settled_at is None else str(score.settled_at)
-            table.add_row(name, score.method, "yes" if score.at_rest else "no", *numbers, settled)
-            name = ""
-    print_table(table, 110, sys.stdout)
-    for i, method in enumerate(METHODS):
-        rest = sum(scores[i].at_rest for _, scores in done)
-        below = sum(scores[i].at_rest and scores[i].peak < 100 for _, scores in done)
-        print(f"{method}: {rest} of {len(done)} at rest, {below} of them with a peak below 100")
-    return OK if len(done) == len(plants) else INTERRUPTED
+    _check_targets(options)
+    return OK if compared(options) else INTERRUPTED
 
 
 def _schema(options: argparse.Namespace) -> int:

@@ -1,20 +1,23 @@
-"""Benchmark plants that others chose: the COMPleib collection's, up to order 30, by name."""
+"""Benchmark plants that others chose, by name: the COMPleib collection's up to order 30, and some of textbooks."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
-from typing import cast
+from typing import Literal, cast, get_args
 
 import numpy as np
 
-from rhl._checks import Array, describe, integer, positive, read_only
+from rhl._checks import choice, describe, integer
 from rhl.errors import InputError
-from rhl.plants.analysis import observability_index
-from rhl.plants.linear import LinearPlant
+from rhl.plants._benchmark import Benchmark
+from rhl.plants._literature import literature
+
+__all__ = ["Benchmark", "Collection", "benchmark", "names"]
+
+Collection = Literal["compleib", "literature"]
 
 _FAMILIES = {
     "ac": "aircraft",
@@ -25,78 +28,50 @@ _FAMILIES = {
     "je": "jet engine",
     "rea": "chemical reactor",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Benchmark:
-    r"""A plant in continuous time, :math:`\dot x = A x + B u`, y = C x, as a collection publishes it.
-
-    Attributes
-    ----------
-    name : str
-    family : str
-        What kind of plant it is, as far as its name tells; "" where it does not.
-    A, B, C : array, shapes (n, n), (n, q), (p, n)
-        Numbers only; the collection gives units in its report, not in its data.
-
-    Notes
-    -----
-    Source: F. Leibfritz, COMPleib: Constraint matrix-optimization problem library, University of Trier, 2004, as
-    packaged by controlgym 1.0.0 (MIT), which gives B for the control input and C for the measured output. The entries
-    were not checked against the report. Outputs of ``je2`` whose row of C is zero measure nothing.
-    """
-
-    name: str
-    family: str
-    A: Array
-    B: Array
-    C: Array
-
-    def __post_init__(self) -> None:
-        for name in "ABC":
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    @property
-    def z0(self) -> Array:
-        """An initial state of length one, all of whose entries are equal, shape (n,)."""
-        n = len(self.A)
-        return np.full(n, n**-0.5)
-
-    def sampled(self, h: float = 0.1) -> LinearPlant:
-        """Return the plant sampled every h seconds with its inputs held in between (zero-order hold)."""
-        from scipy.linalg import expm  # here, because names are listed without it
-
-        n, q = self.B.shape
-        whole = np.zeros((n + q, n + q))
-        whole[:n, :n], whole[:n, n:] = self.A, self.B
-        with np.errstate(over="ignore", invalid="ignore"):
-            found = expm(positive("h", h) * whole)
-        if not np.all(np.isfinite(found)):
-            raise InputError(f"h must be short enough for {self.name} to stay finite from sample to sample, got {h:g}")
-        return LinearPlant(found[:n, :n], found[:n, n:], self.C)
-
-    def order(self, h: float = 0.1) -> int:
-        """Return the observability index of the sampled plant, the least ``order`` that a scheme may be told."""
-        plant = self.sampled(h)
-        return observability_index(plant.F, plant.H)
+# B is that of the control input and C that of the measured output. The entries were not checked against the report,
+# whose units the data do not have. Outputs of je2 whose row of C is zero measure nothing.
+_COMPLEIB = (
+    "F. Leibfritz, COMPleib: Constraint matrix-optimization problem library, University of Trier, 2004, as packaged by "
+    "controlgym 1.0.0 (MIT)"
+)
 
 
 @cache
-def _data() -> dict[str, dict[str, list[list[float]]]]:
+def _data() -> dict[str, Benchmark]:
     text = files("rhl").joinpath("plants", "data", "compleib.json").read_text(encoding="utf-8")
-    return cast(dict[str, dict[str, list[list[float]]]], json.loads(text))
+    found = cast(dict[str, dict[str, list[list[float]]]], json.loads(text))
+    return {name: _of_compleib(name, parts) for name, parts in found.items()} | literature()
 
 
-def names(largest: int = 30) -> tuple[str, ...]:
-    """Return the names of the plants of order up to ``largest``.
+def _of_compleib(name: str, parts: dict[str, list[list[float]]]) -> Benchmark:
+    family = _FAMILIES.get(name.rstrip("0123456789"), "")
+    A, B, C = (np.array(parts[part], dtype=np.float64) for part in "ABC")
+    title = f"COMPleib's {name}" + (f", {family}" if family else "")
+    return Benchmark(name, family, A, B, C, title=title, origin=_COMPLEIB)
+
+
+def names(largest: int = 30, collection: Collection | None = None) -> tuple[str, ...]:
+    """Return the names of the plants of order up to ``largest``, of one collection or of all.
+
+    "compleib" is the COMPleib collection, "literature" are plants of textbooks and papers. InputError if ``largest`` is
+    below 1 or there is no such collection.
 
     Examples
     --------
-    >>> names(largest=4)
+    >>> names(largest=4, collection="compleib")
     ('ac3', 'ac8', 'dis2', 'he1', 'toy')
+    >>> names(collection="literature")[:3]
+    ('aircraft-pitch', 'ball-on-beam', 'boeing-747')
     """
     integer("largest", largest, 1)
-    return tuple(name for name, found in _data().items() if len(found["A"]) <= largest)
+    if collection is not None:
+        choice("collection", collection, get_args(Collection))
+    other = literature() if collection is not None else {}
+    return tuple(
+        name
+        for name, found in _data().items()
+        if len(found.A) <= largest and (collection is None or (name in other) == (collection == "literature"))
+    )
 
 
 def benchmark(name: str) -> Benchmark:
@@ -107,10 +82,10 @@ def benchmark(name: str) -> Benchmark:
     >>> plant = benchmark("ac1").sampled(h=0.1)
     >>> plant.n, plant.q, plant.p
     (5, 3, 3)
+    >>> benchmark("wood-berry").title
+    "Wood and Berry's distillation column"
     """
     if not isinstance(cast(object, name), str) or name not in _data():
         near = get_close_matches(name, _data(), n=3) if isinstance(cast(object, name), str) else []
         raise InputError(f"benchmark must be one of {', '.join(near or _data())}, got {describe(name)}")
-    found = _data()[name]
-    family = _FAMILIES.get(name.rstrip("0123456789"), "")
-    return Benchmark(name, family, *(np.array(found[part], dtype=np.float64) for part in "ABC"))
+    return _data()[name]

@@ -2,44 +2,129 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, instance, integer, real_array
+from rhl._checks import Array, choice, integer, reason
+from rhl.disturbances import Saturation
 from rhl.errors import DivergedError, InputError
+from rhl.estimator import ProximalEstimator
+from rhl.lifting import DelayLifting
+from rhl.model import SignalModel
 from rhl.plants.linear import LinearPlant
-from rhl.scheme import Scheme, default_scheme, window_scheme
+from rhl.schedules import PowerDecay
+from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
-from rhl.study.rivals import Run, excite_identify_regulate, known_plant, weights
+from rhl.study.adaptive import adaptive_lq
+from rhl.study.deepc import deepc
+from rhl.study.rivals import Run, Task, excite_identify_regulate, known_plant, pose
 
 # At rest are outputs that end below this share of the largest of y(0), and stay there for the last steps of a run.
 _REST, _LAST = 0.05, 20
 # Settled are those that stay below this share from some step on.
 _SETTLED = 0.01
+# Where outputs are known to within errors of this standard deviation, both shares are so many of them larger.
+_DEVIATIONS = 3.0
 
 
-METHODS = ("the plant known", "excite, identify, regulate", "window_scheme", "default_scheme")
+def paper_scheme(p: int, q: int, order: int) -> Scheme:
+    r"""Return a scheme with the settings of the paper's linear example, for outputs and inputs of any number.
+
+    From ``rhl.paper.published.linear_example`` carry over: Q = QN = 100, R = 10000, :math:`\epsilon(k) = 1/(1+100k)`,
+    squares with weight 1 for loss and generator, no mixing, the estimate of the step before, and the initial model with
+    ones above the diagonal and in the last row. Sizes follow the example's pattern: :math:`N_y = N_v` = order (4
+    there), a window of twice that (8), and a horizon of 20 or, where it is larger, the size of the augmented state (7),
+    as the theory asks. For one input, one output and order 4 it is the paper's scheme.
+    """
+    for name, value in (("p", p), ("q", q), ("order", order)):
+        integer(name, value, 1)
+    n = p * order
+    return Scheme(
+        lifting=DelayLifting(order, order),
+        estimator=ProximalEstimator(2 * order),
+        controller=Controller(100.0, 10000.0, 100.0, max(20, n + (order - 1) * q), PowerDecay(100), model_delay=1),
+        initial_model=SignalModel.companion_of_ones(n, q * order),
+    )
+
+
+def our_scheme(p: int, q: int, order: int, bound: Array | None = None, noise: Array | float = 0.0) -> Scheme:
+    """Return the default scheme for outputs of size p and inputs of size q, as it is run here.
+
+    It is told neither the bound of each input, shape (q,), nor the standard deviation of the outputs' errors, shape
+    (p,): like those of every scheme here, its inputs are clipped, and it learns from what was applied.
+    """
+    return default_scheme(p, q, order)
+
+
+# From p, q, order, bound and noise.
+_SCHEMES: dict[str, Callable[[int, int, int, Array | None, Array | float], Scheme]] = {
+    "paper": lambda p, q, order, bound, noise: paper_scheme(p, q, order),
+    "window_scheme": lambda p, q, order, bound, noise: window_scheme(p, q, order),
+    "default_scheme": our_scheme,
+}
+
+
+def _one_by_one(run: Callable[[Task], Run]) -> Callable[[Sequence[Task]], list[Run]]:
+    return lambda tasks: [run(task) for task in tasks]
+
+
+def _of_scheme(name: str) -> Callable[[Sequence[Task]], list[Run]]:
+    def run(tasks: Sequence[Task]) -> list[Run]:
+        of = tasks[0]
+        scheme = _SCHEMES[name](of.plant.p, of.plant.q, of.order, of.bound, of.noise * of.output_sizes)
+        return _simulated(scheme, tasks)
+
+    return run
+
+
+# Each takes tasks that differ in seeds only.
+_RUN: dict[str, Callable[[Sequence[Task]], list[Run]]] = {
+    "known-plant": _one_by_one(known_plant),
+    "excite-identify": _one_by_one(excite_identify_regulate),
+    "adaptive-lq": adaptive_lq,
+    "deepc": _one_by_one(deepc),
+    **{name: _of_scheme(name) for name in _SCHEMES},
+}
+METHODS = tuple(_RUN)
+# These draw something even where there is no noise; known-plant sees the state and so draws nothing at all.
+_RANDOM = ("excite-identify", "adaptive-lq", "deepc")
 
 
 @dataclass(frozen=True)
 class Score:
-    """How one way of control did on one plant; outputs count relative to the largest entry of y(0).
+    """How one run of one way of control did on one plant; outputs count relative to the largest entry of y(0).
+
+    All is judged by outputs as they are, not as a sensor with errors shows them. With s the noise's relative standard
+    deviation:
 
     Attributes
     ----------
     method : str
+        One of ``METHODS``.
     at_rest : bool
-        Whether the last twenty outputs are below 0.05.
+        Whether the last twenty outputs are below 0.05 + 3 s.
     peak : float
         Largest output; infinite where the run left the range of floating-point numbers.
     cost : float
-        What the run cost, over the least that any inputs cost (``known_plant``); infinite where it diverged.
+        What the run cost, over the least that any inputs cost without noise and bounds (``known_plant``); infinite
+        where it diverged. Exciting costs as any other part of the run.
     largest_input : float
         In the plant's own units.
     settled_at : int or None
-        The first k from which on outputs stay below 0.01; None if there is none.
+        The first k from which on outputs stay below 0.01 + 3 s; None if there is none.
+    step_time : float
+        Seconds of computation a step, those of identification included, over all seeds that ran together.
+    seed : int
+    noise : float
+        s.
+    bounded : float or None
+        The bound of inputs, see ``rivals.pose``.
+    failure : str
+        What the method raised, on one line; "" where it ran.
     """
 
     method: str
@@ -48,20 +133,59 @@ class Score:
     cost: float
     largest_input: float
     settled_at: int | None
+    step_time: float = 0.0
+    seed: int = 0
+    noise: float = 0.0
+    bounded: float | None = None
+    failure: str = ""
 
 
-def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, seed: int = 0) -> tuple[Score, ...]:
+def compare(
+    plant: LinearPlant,
+    z0: ArrayLike,
+    order: int,
+    steps: int = 400,
+    *,
+    seed: int = 0,
+    seeds: int = 1,
+    noise: float = 0.0,
+    bounded: float | None = None,
+    methods: Sequence[str] = METHODS,
+) -> tuple[Score, ...]:
     """Run a plant under each method and judge them.
 
-    The ``METHODS``: the regulator that knows the plant (the least cost there is), a regulator that excites, identifies
-    and regulates (inputs of size 0.1 at first, as the scheme's), ``window_scheme``, and ``default_scheme``. But for
-    the first they are told the sizes of y and v and ``order``, an upper bound on the observability index. There is no
-    noise. Inputs while exciting count as any others.
+    ``METHODS``: the regulator that knows the plant and its state (without noise and bounds the least cost there is),
+    three rivals that know neither, the settings of the paper's linear example, ``window_scheme`` and
+    ``default_scheme``. All but the first are told the sizes of y and v and ``order``; the rivals are also told the cost
+    by which all are judged, the noise and the bounds.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+    z0 : array_like, shape (n,)
+        Initial state.
+    order : int
+        An upper bound on the observability index.
+    steps : int
+        At least 20.
+    seed : int
+        The first seed.
+    seeds : int
+        How many seeds a method runs with that draws anything; what draws nothing runs once.
+    noise, bounded
+        See ``rivals.pose``.
+    methods : sequence of str
+        Which to run.
+
+    Returns
+    -------
+    tuple of Score
+        In the order of ``methods``, then of seeds. A run that fails has a score too, which says what was raised.
 
     Raises
     ------
     InputError
-        If z0 does not fit the plant, y(0) is zero, or the numbers are out of range.
+        If z0 does not fit the plant, y(0) is zero, or numbers or names are out of range.
 
     Examples
     --------
@@ -69,50 +193,131 @@ def compare(plant: LinearPlant, z0: ArrayLike, order: int, steps: int = 400, *, 
     >>> [(score.method, score.at_rest) for score in scores][-1]
     ('default_scheme', True)
     """
-    instance("plant", plant, LinearPlant)
-    z, m = real_array("z0", z0, (plant.n,)), integer("order", order, 1)
-    if z.ndim > 1 or plant.F.ndim > 2:
-        raise InputError(f"plant and z0 must be of one run, got a batch of shape {plant.batch(z)}; take one member")
     integer("steps", steps, _LAST)
-    W, R = weights(plant, plant.H @ z, m)
-    runs = (
-        known_plant(plant, z, steps, W, R),
-        excite_identify_regulate(plant, z, steps, m, W, R, size=0.1, seed=seed),
-        _simulated(window_scheme(plant.p, plant.q, m), plant, z, steps),
-        _simulated(default_scheme(plant.p, plant.q, m), plant, z, steps),
-    )
-    least = _cost(runs[0], W, R)
-    return tuple(_judged(name, run, _cost(run, W, R) / least) for name, run in zip(METHODS, runs, strict=True))
+    integer("seeds", seeds, 1)
+    if isinstance(methods, str):
+        raise InputError(f"methods must be a sequence of names, got the string {methods!r}; put it in a list")
+    for method in methods:
+        choice("method", method, METHODS)
+    first = pose(plant, z0, order, steps, noise=noise, bounded=bounded, seed=seed)
+    tasks = [
+        first,
+        *(pose(plant, z0, order, steps, noise=noise, bounded=bounded, seed=seed + i) for i in range(1, seeds)),
+    ]
+    least = _cost(known_plant(pose(plant, z0, order, steps)), first)
+    scores: list[Score] = []
+    for method in methods:
+        draws = method in _RANDOM or (noise > 0 and method != "known-plant")
+        scores += _scores(method, tasks if draws else tasks[:1], least, bounded)
+    return tuple(scores)
 
 
-def _simulated(scheme: Scheme, plant: LinearPlant, z: Array, steps: int) -> Run:
+def _scores(method: str, tasks: Sequence[Task], least: float, bounded: float | None) -> list[Score]:
+    begun = perf_counter()
     try:
-        trace = simulate(scheme, plant, z, steps, record="signals")
+        runs, failures = _RUN[method](tasks), [""] * len(tasks)
+    except Exception as error:
+        if len(tasks) > 1:  # one bad run must not take the others along
+            return [score for task in tasks for score in _scores(method, [task], least, bounded)]
+        runs, failures = [_nothing(tasks[0])], [reason(error)]
+    seconds = (perf_counter() - begun) / max(1, sum(len(run.y) for run in runs))
+    return [
+        _judged(method, run, task, _cost(run, task) / least, seconds, bounded, failure)
+        for run, task, failure in zip(runs, tasks, failures, strict=True)
+    ]
+
+
+def _nothing(task: Task) -> Run:
+    return Run(np.empty((0, task.plant.p)), np.empty((0, task.plant.q)), task.steps)
+
+
+def _simulated(scheme: Scheme, tasks: Sequence[Task]) -> list[Run]:
+    first = tasks[0]
+    errors = np.stack([task.errors for task in tasks], axis=1)
+    sensor = (lambda k, y: y + errors[k]) if first.noise else None
+    actuator = None if first.bound is None else Saturation(-first.bound, first.bound)
+    z0 = np.tile(first.z0, (len(tasks), 1))
+    try:
+        trace = simulate(scheme, first.plant, z0, first.steps, record="signals", sensor=sensor, actuator=actuator)
     except DivergedError as error:
         if error.trace is None:
-            return Run(np.empty((0, plant.p)), np.empty((0, plant.q)), steps)
+            return [_nothing(task) for task in tasks]
         trace = error.trace
-    return Run(trace.y, trace.v, steps)
+    ends = np.where(trace.diverged_at < 0, len(trace), trace.diverged_at)
+    y = trace.z @ first.plant.H.T
+    return [Run(y[:end, i], trace.v[:end, i], first.steps) for i, end in enumerate(ends)]
 
 
-def _cost(run: Run, W: Array, R: Array) -> float:
+def _cost(run: Run, task: Task) -> float:
     if len(run.y) < run.wanted:
         return np.inf
     with np.errstate(over="ignore"):
-        return float(np.einsum("ki,ij,kj", run.y, W, run.y) + np.einsum("ki,ij,kj", run.v, R, run.v))
+        return float(np.einsum("ki,ij,kj", run.y, task.W, run.y) + np.einsum("ki,ij,kj", run.v, task.R, run.v))
 
 
-def _judged(method: str, run: Run, cost: float) -> Score:
+def _judged(
+    method: str, run: Run, task: Task, cost: float, seconds: float, bounded: float | None, failure: str
+) -> Score:
+    about = (seconds, task.seed, task.noise, bounded, failure)
     if len(run.y) < run.wanted:
-        return Score(method, False, np.inf, np.inf, np.inf, None)
+        return Score(method, False, np.inf, np.inf, np.inf, None, *about)
     sizes = np.max(np.abs(run.y), axis=1) / np.max(np.abs(run.y[0]))
-    late = np.flatnonzero(sizes >= _SETTLED)
+    allowed = _DEVIATIONS * task.noise
+    late = np.flatnonzero(sizes >= _SETTLED + allowed)
     settled = int(late[-1]) + 1 if len(late) else 0
     return Score(
         method,
-        bool(np.all(sizes[-_LAST:] < _REST)),
+        bool(np.all(sizes[-_LAST:] < _REST + allowed)),
         float(sizes.max()),
         cost,
         float(np.max(np.abs(run.v))),
         settled if settled < run.wanted else None,
+        *about,
     )
+
+
+@dataclass(frozen=True)
+class Summary:
+    """How a method did over several runs.
+
+    ``at_rest`` counts those at rest, ``low_peak`` those of them with a peak below 100. ``peak``, ``cost`` and
+    ``step_time`` are medians over all runs, infinite where half of them diverged.
+    """
+
+    method: str
+    noise: float
+    bounded: float | None
+    runs: int
+    at_rest: int
+    low_peak: int
+    peak: float
+    cost: float
+    step_time: float
+
+
+def summaries(scores: Iterable[Score]) -> list[Summary]:
+    """Sum scores up by noise, bound and method, in the order in which they come.
+
+    Examples
+    --------
+    >>> plant = LinearPlant([[1.2]], [[1.0]], [[1.0]])
+    >>> for row in summaries(compare(plant, [1.0], 1, 120, methods=["known-plant", "deepc"], seeds=3)):
+    ...     print(row.method, row.runs, row.at_rest)
+    known-plant 1 1
+    deepc 3 3
+    """
+    groups: dict[tuple[float, float | None, str], list[Score]] = {}
+    for score in scores:
+        groups.setdefault((score.noise, score.bounded, score.method), []).append(score)
+    return [
+        Summary(
+            method,
+            noise,
+            bounded,
+            len(of),
+            sum(score.at_rest for score in of),
+            sum(score.at_rest and score.peak < 100 for score in of),
+            *(float(np.median([getattr(score, name) for score in of])) for name in ("peak", "cost", "step_time")),
+        )
+        for (noise, bounded, method), of in groups.items()
+    ]

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from rhl._checks import Array, integer, positive
+from rhl._checks import Array, describe, fraction, instance, integer, positive, read_only, real_array
 from rhl._riccati import gains
 from rhl.errors import InputError
 from rhl.lifting import DelayLifting, remember
@@ -18,11 +19,74 @@ from rhl.plants.linear import LinearPlant
 _RANK_RTOL = 1e-9
 # Steps that the identified regulator looks ahead; for slower modes it makes no difference that matters here.
 _AHEAD = 300
+# With noise, predictors look so many times further back, so that errors average out.
+_FURTHER_BACK = 3
+# With noise a model is fitted to so many equations for each of its unknowns.
+_EQUATIONS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    r"""A plant to be brought to rest, what a method is told of it, and what errs.
+
+    A method is told the sizes of y and v, ``order``, the weights, ``size``, ``noise`` and ``bound``; it sees
+    y + ``errors`` and knows what the actuator let through. Only ``known_plant`` looks at the plant.
+
+    Attributes
+    ----------
+    plant : LinearPlant
+    z0 : array, shape (n,)
+    order : int
+        An upper bound on the observability index.
+    steps : int
+    W, R : array, shapes (p, p) and (q, q)
+        What all are judged by, :math:`\sum_k |y(k)|_W^2 + |v(k)|_R^2`, see ``weights``.
+    noise : float
+        Standard deviation of the errors, relative to the sizes in which W counts outputs.
+    errors : array, shape (steps, p)
+        Errors of the sensor.
+    bound : array, shape (q,), or None
+        No input may be larger than that.
+    seed : int
+        Of what a method draws; the errors come from another stream of the same seed.
+    size : float
+        Of the inputs that excite.
+    """
+
+    plant: LinearPlant
+    z0: Array
+    order: int
+    steps: int
+    W: Array
+    R: Array
+    noise: float
+    errors: Array
+    bound: Array | None
+    seed: int
+    size: float = 0.1
+
+    @property
+    def output_sizes(self) -> Array:
+        """In which outputs count, shape (p,)."""
+        return np.diag(self.W) ** -0.5
+
+    @property
+    def stacked(self) -> int:
+        """How many outputs and inputs a predictor takes that averages: ``order``, with noise three times that."""
+        return _FURTHER_BACK * self.order if self.noise else self.order
+
+    def rng(self) -> np.random.Generator:
+        """Return the generator of what a method draws."""
+        return np.random.default_rng(np.random.SeedSequence([self.seed, 1]))
+
+    def within(self, v: Array) -> Array:
+        """Return what the actuator lets through."""
+        return v if self.bound is None else np.clip(v, -self.bound, self.bound)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run: outputs y, shape (steps, p), and inputs v, shape (steps, q).
+    """A run: outputs y without the sensor's errors, shape (steps, p), and inputs v as applied, shape (steps, q).
 
     ``wanted`` is the number of steps asked for; fewer rows say that an output passed 1e100 then.
     """
@@ -30,6 +94,62 @@ class Run:
     y: Array
     v: Array
     wanted: int
+
+
+def pose(
+    plant: LinearPlant,
+    z0: ArrayLike,
+    order: int,
+    steps: int,
+    *,
+    noise: float = 0.0,
+    bounded: float | None = None,
+    seed: int = 0,
+) -> Task:
+    """Return the task of bringing a plant to rest.
+
+    Parameters
+    ----------
+    plant : LinearPlant
+        Of one run, not a batch.
+    z0 : array_like, shape (n,)
+        Initial state, from which y(0) is not zero.
+    order : int
+        An upper bound on the observability index.
+    steps : int
+    noise : float
+        Standard deviation of normal errors of each output, relative to that output's first size; where that is zero,
+        to the largest of the others. In [0, 1).
+    bounded : float, optional
+        The bound on each input, as a multiple of the largest that the regulator which knows the plant would use; for
+        inputs that it leaves at zero, of the largest of the others. None: inputs are free.
+    seed : int
+        Of the errors and of what a method draws.
+
+    Raises
+    ------
+    InputError
+        If z0 does not fit the plant, y(0) is zero, or a number is out of range.
+    """
+    instance("plant", plant, LinearPlant)
+    z, m = real_array("z0", z0, (plant.n,)), integer("order", order, 1)
+    if z.ndim > 1 or plant.F.ndim > 2:
+        raise InputError(f"plant and z0 must be of one run, got a batch of shape {plant.batch(z)}; take one member")
+    integer("steps", steps, 1)
+    noise = fraction("noise", noise)
+    W, R = weights(plant, plant.H @ z, m)
+    rng = np.random.default_rng(np.random.SeedSequence([integer("seed", seed, 0), 0]))
+    errors = noise * np.diag(W) ** -0.5 * rng.standard_normal((steps, plant.p))
+    free = Task(plant, z, m, steps, W, R, noise, read_only(errors), None, seed)
+    if bounded is None:
+        return free
+    largest = np.max(np.abs(known_plant(free).v), axis=0) * positive("bounded", bounded)
+    bound = np.where(largest > 0, largest, np.max(largest))
+    if not np.all(bound > 0):
+        raise InputError(
+            f"bounded must be None where the regulator that knows the plant uses no input, got {describe(bounded)}"
+        )
+    return Task(plant, z, m, steps, W, R, noise, free.errors, read_only(bound), seed)
 
 
 def weights(plant: LinearPlant, y0: Array, order: int) -> tuple[Array, Array]:
@@ -52,73 +172,82 @@ def weights(plant: LinearPlant, y0: Array, order: int) -> tuple[Array, Array]:
     return np.diag(size**-2.0), 1e-4 * np.diag(np.where(gain > 0, gain, 1.0) ** 2)
 
 
-def known_plant(plant: LinearPlant, z0: Array, steps: int, W: Array, R: Array) -> Run:
-    """Run the regulator that knows plant and state and how many steps there are: no other inputs cost less."""
-    K = _regulator(plant.F, plant.G, np.sqrt(W) @ plant.H, R, steps)
-    return _closed(plant, z0, steps, lambda k, y, z: -K[k] @ z)
+def known_plant(task: Task) -> Run:
+    """Run the regulator that knows plant, state and how many steps there are: where inputs are free, none cost less.
+
+    Under bounds its inputs are clipped, which is then no longer the best that could be done.
+    """
+    plant = task.plant
+    K = regulator(plant.F, plant.G, np.sqrt(task.W) @ plant.H, task.R, task.steps)
+    return closed(task, lambda k, y, before, z: -K[k] @ z)
 
 
-def excite_identify_regulate(
-    plant: LinearPlant,
-    z0: Array,
-    steps: int,
-    order: int,
-    W: Array,
-    R: Array,
-    *,
-    size: Array | float = 1.0,
-    seed: int = 0,
-) -> Run:
-    """Excite at random until the data's rank stops rising, fit a model of the lifted signals, and regulate with it.
+def excite_identify_regulate(task: Task) -> Run:
+    """Excite at random until the data suffice, fit a model of the lifted signals, and regulate with it.
 
     Of the plant it uses what the scheme uses: outputs, inputs and ``order``, how many of each are stacked. Inputs of
-    the first part are normal with standard deviation ``size``. The weights W and R are those of ``weights``.
+    the first part are normal with standard deviation ``task.size``. Data suffice where their rank has stopped rising
+    and there are more rows than that; with noise, where there are ten rows for each unknown of a row of the model.
     """
-    positive("size", float(np.max(size)))
-    m, rng = integer("order", order, 1), np.random.default_rng(integer("seed", seed, 0))
-    lifting, p, q = DelayLifting(m, m), plant.p, plant.q
-    n, scale = p * m, np.concatenate([np.tile(np.sqrt(np.diag(W)), m), np.tile(1.0 / np.broadcast_to(size, q), m)])
+    m, rng = task.order, task.rng()
+    p, q, W, R = task.plant.p, task.plant.q, task.W, task.R
+    lifting, scale = (
+        DelayLifting(m, m),
+        np.concatenate([np.tile(np.sqrt(np.diag(W)), m), np.full(q * m, 1 / task.size)]),
+    )
+    n = p * m
     past: list[Array] = [np.zeros((m + 1, p)), np.zeros((m + 1, q))]
     rows: list[Array] = []
     found: list[Array] = []
     ranks = [0, 0]
 
-    def choose(k: int, y: Array, z: Array) -> Array:
+    def enough(known: Array) -> bool:
+        if task.noise:
+            return len(known) >= _EQUATIONS * len(scale)
+        ranks.append(int(np.linalg.matrix_rank(known, rtol=_RANK_RTOL)))
+        return ranks[-1] == ranks[-3] and len(known) > ranks[-1]
+
+    def choose(k: int, y: Array, before: Array, z: Array) -> Array:
+        past[1] = remember(past[1], before)
         past[0] = remember(past[0], y)
         if k >= m and not found:
             rows.append(np.concatenate([past[0][1:].ravel(), past[1][:m].ravel(), past[0][:m].ravel()]))
             data = np.array(rows)
             known, target = data[:, : len(scale)] * scale, data[:, len(scale) :]
-            ranks.append(int(np.linalg.matrix_rank(known, rtol=_RANK_RTOL)))
-            if ranks[-1] == ranks[-3] and len(rows) > ranks[-1]:
+            if enough(known):
                 theta = (np.linalg.lstsq(known, target, rcond=_RANK_RTOL)[0] * scale[:, None]).T
                 model = lifting.augment(SignalModel(theta[:, :n], theta[:, n:]))
                 seen = np.concatenate([np.sqrt(W), np.zeros((p, model.n - p))], axis=1)
-                found.append(_regulator(model.A, model.B, seen, R, _AHEAD)[0])
-        v = -found[0] @ lifting.augmented_state(*past) if found else size * rng.standard_normal(q)
-        past[1] = remember(past[1], v)
-        return v
+                found.append(regulator(model.A, model.B, seen, R, _AHEAD)[0])
+        return -found[0] @ lifting.augmented_state(*past) if found else task.size * rng.standard_normal(q)
 
-    return _closed(plant, z0, steps, choose)
+    return closed(task, choose)
 
 
-def _regulator(A: Array, B: Array, seen: Array, R: Array, steps: int) -> Array:
-    """Return the gains that make the sum of |seen z|^2 + |v|_R^2 over the steps least, shape (steps, q, n)."""
-    n = len(A)
+def regulator(A: Array, B: Array, seen: Array, R: Array, steps: int) -> Array:
+    """Return the gains that make the sum of |seen z|^2 + |v|_R^2 over the steps least, shape (..., steps, q, n)."""
+    n = A.shape[-1]
     triangle = np.zeros((n, n))
     factored = np.linalg.qr(seen, mode="r")
     triangle[: len(factored)] = factored
     return gains(np.zeros((n, n)), A, B, triangle, np.sqrt(R), steps)[0]
 
 
-def _closed(plant: LinearPlant, z0: Array, steps: int, choose: Callable[[int, Array, Array], Array]) -> Run:
-    z, outputs, inputs = np.asarray(z0, dtype=np.float64), [], []
-    for k in range(integer("steps", steps, 1)):
+def closed(task: Task, choose: Callable[[int, Array, Array, Array], Array]) -> Run:
+    """Close the loop with ``choose(k, y, before, z)``: y with its error, the input applied before, and the state.
+
+    The run ends before an output passes 1e100 or an input leaves the range of floating-point numbers.
+    """
+    plant, z, outputs, inputs = task.plant, task.z0, [], []
+    v = np.zeros(plant.q)
+    for k in range(task.steps):
         y = plant.H @ z
         if not np.max(np.abs(y)) < 1e100:
             break
-        v = choose(k, y, z)
+        v = task.within(choose(k, y + task.errors[k], v, z))
+        if not np.all(np.isfinite(v)):
+            break
         outputs.append(y)
         inputs.append(v)
         z = plant.F @ z + plant.G @ v
-    return Run(np.array(outputs), np.array(inputs), steps)
+    return Run(np.array(outputs).reshape(-1, plant.p), np.array(inputs).reshape(-1, plant.q), task.steps)
