@@ -90,8 +90,15 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-STUDY = ["study", "study.rivals", "study.compare"]
-APP = ["app", *(f"app.{name}" for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams", "cli"))]
+CAMPAIGNS = ["study.ensembles", "study.campaign", "study.store", "study.backends"]
+STUDY = ["study", "study.rivals", "study.compare", *CAMPAIGNS]
+CAMPAIGN_COMMAND = ["app._campaign_keys", "app._campaign"]
+APP = [
+    "app",
+    *(f"app.{name}" for name in ("diagnosis", "_keys", "_plants", "_sections", "config", "_streams")),
+    *CAMPAIGN_COMMAND,
+    "app.cli",
+]
 ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
@@ -107,7 +114,7 @@ FORBIDDEN = {
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
-HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib")
+HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib", "dask", "distributed", "xarray", "zarr")
 
 
 def name_of(path):
