@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import logging
+import shlex
 import sys
 import textwrap
 from typing import TYPE_CHECKING, Any
 
 # The rest is imported when the command runs, so that help and refusals do not wait for it.
-from rhl.app._streams import complain, file_name, named, print_table, printable, progress
+from rhl.app._streams import complain, file_name, print_table, printable, progress
 
 if TYPE_CHECKING:
     from rhl.study.campaign import Backend, Campaign
@@ -67,17 +67,18 @@ def _count(text: str) -> int:
 def _campaign(options: argparse.Namespace) -> int:
     from rhl.app._campaign_keys import load
     from rhl.study.campaign import LostWorkersError, run
+    from rhl.study.store import StoreError
 
     for package in ("zarr", "xarray", "dask"):  # where one is missing, that is said before anything is made
         __import__(package)
     file, text, settings = load(options.config)
     campaign = file.campaign()
     backend = _backend(options)
-    go_on = f"rhl campaign {options.config} --output {options.output} --resume goes on"
+    again = shlex.join(["rhl", "campaign", str(options.config), "--output", str(options.output), "--resume"])
     try:
         store = _store(options, campaign, text, settings)
-    except OSError as error:
-        complain(f"{named(options.output)} must take the results, got: {_why(error)}")
+    except StoreError as error:
+        complain(str(error))
         return _BAD_INPUT
     tasks, done = len(list(campaign.tasks())), 0
     with store.held(), progress(file.name, tasks) as show:
@@ -91,14 +92,12 @@ def _campaign(options: argparse.Namespace) -> int:
             run(campaign, store, backend, progress=tick)
         except KeyboardInterrupt:
             status, why = _INTERRUPTED, "interrupted"
-        except OSError as error:
-            status, why = _STOPPED, f"{named(options.output)} must take the results, got: {_why(error)}; stopped"
-        except LostWorkersError as error:
+        except (StoreError, LostWorkersError) as error:
             status, why = _STOPPED, f"{error}; stopped"
         else:
             status, why = _OK, ""
     if status:
-        complain(f"{why} after {done} of {tasks} tasks, which are kept; {go_on}")
+        complain(f"{why} after {done} of {tasks} tasks, which are kept; {again} goes on")
         return status
     _report(store, options)
     return _OK
@@ -109,7 +108,9 @@ def _backend(options: argparse.Namespace) -> Backend:
 
     if options.scheduler is None:
         return backends.in_process() if options.workers == 1 else backends.processes(options.workers)
-    # Dask reports lost workers, with tracebacks, beside what is told here.
+    import distributed  # noqa: F401 - it sets up its logging when it is first imported
+
+    # It reports lost workers, with tracebacks, beside what is told here.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     return backends.cluster(options.scheduler)
 
@@ -120,11 +121,6 @@ def _store(options: argparse.Namespace, campaign: Campaign, text: str, settings:
     if options.resume:
         return Store.resume(options.output, campaign, settings)
     return Store.create(options.output, campaign, text, settings)
-
-
-def _why(error: OSError) -> str:
-    what = error.strerror or " ".join(str(error).split()) or type(error).__name__
-    return f"{what}; make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else what
 
 
 def _report(store: Store, options: argparse.Namespace) -> None:

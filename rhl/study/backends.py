@@ -78,11 +78,15 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
     its tasks to others, a few times.
     """
     import distributed
+    from distributed.comm import CommClosedError
+    from distributed.comm.addressing import parse_address, parse_host_port
 
     client_of: Any = distributed.Client  # which comes without types
 
     def connect() -> Any:
         try:
+            # Here, because a client that fails over an address without a port is slow, and loud, to go.
+            parse_host_port(parse_address(address)[1])
             return client_of(address, timeout=timeout, set_as_default=False)
         except (OSError, ValueError) as error:
             what = " ".join(str(error).split()) or type(error).__name__
@@ -114,7 +118,11 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
     def executor() -> Iterator[Executor]:
         nonlocal seen
         seen = time.monotonic()
-        with connect() as client:
+        try:
+            opened = connect()
+        except InputError as error:  # it answered before
+            raise LostWorkersError(str(error)) from None
+        with opened as client:
             open_clients.append(client)
             # Tasks that are handed over once more are not to be given the answer, or the failure, of before.
             pool = client.get_executor(pure=False)
@@ -123,4 +131,5 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
             finally:
                 pool.shutdown(wait=False)
 
-    return Backend(executor, 2 * threads, (distributed.KilledWorker, CancelledError), check)
+    lost = (distributed.KilledWorker, CommClosedError, CancelledError)
+    return Backend(executor, 2 * threads, lost, check)

@@ -384,8 +384,8 @@ def run(
     ------
     LostWorkersError
         If workers are lost once more.
-    InputError, OSError
-        As tasks and results raise them.
+    StoreError
+        If the store takes no more.
     """
     before = results.done()
     tasks = list(campaign.tasks())

@@ -118,7 +118,7 @@ class RandomPlants:
     >>> plants = RandomPlants(seed=1, count=3, n=(2, 4))
     >>> len(plants), plants.draw(5).size
     (6, (4, 1, 1, 4))
-    >>> round(max(abs(np.linalg.eigvals(RandomPlants(1, 1, radius=(1.1, 1.1)).draw(0).F))), 12)
+    >>> round(spectral_radius(RandomPlants(1, 1, radius=(1.1, 1.1)).draw(0).F), 12)
     1.1
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -20,7 +21,7 @@ import numpy as np
 import rhl
 from rhl._checks import describe, shown
 from rhl._files import write_whole
-from rhl.errors import InputError
+from rhl.errors import InputError, RHLError
 from rhl.study.campaign import PLANT_VARIABLES, RUN_VARIABLES, Campaign, Task
 
 if TYPE_CHECKING:
@@ -49,6 +50,15 @@ def versions() -> dict[str, str]:
     return found
 
 
+class StoreError(RHLError):
+    """The store takes no more; what is in it stays."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        full = "; make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        what = error.strerror or " ".join(str(error).split()) or type(error).__name__
+        super().__init__(f"{shown(path)} must take the results, got: {what}{full}")
+
+
 @dataclass(frozen=True)
 class Store:
     """The folder of a campaign; ``create`` or ``resume`` makes one, in which one process writes.
@@ -71,7 +81,7 @@ class Store:
         """Make a new folder, with nothing done.
 
         ``configuration`` is kept as it is, and ``settings``, what JSON can hold, is what ``resume`` compares.
-        InputError if the folder exists or cannot be made. OSError if the store cannot be written.
+        InputError if the folder exists or cannot be made. StoreError if it does not take the store.
         """
         folder = Path(path)
         try:
@@ -89,8 +99,10 @@ class Store:
             _template(campaign, provenance).to_zarr(folder / _DATA, compute=False, consolidated=True, zarr_format=2)
             # Last, since what has none is no campaign's folder.
             (folder / _PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
-        except BaseException:
+        except BaseException as error:
             rmtree(folder, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise StoreError(folder, error) from error
             raise
         return cls(folder, campaign)
 
@@ -102,9 +114,9 @@ class Store:
             before = json.loads((folder / _PROVENANCE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "what is no JSON"
+            anew = "remove the folder and begin anew" if folder.exists() else "leave it out to begin"
             raise InputError(
-                f"--resume must find a campaign in {shown(path)}, got {_PROVENANCE}: {why}; "
-                "remove the folder and begin anew"
+                f"--resume must find a campaign in {shown(path)}, got {_PROVENANCE}: {why}; {anew}"
             ) from None
         for what, now, then in (
             ("the configuration", settings, before["settings"]),
@@ -128,14 +140,18 @@ class Store:
         return (plants,) if task.scheme is None else (slice(task.scheme, task.scheme + 1), plants)
 
     def write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
-        """Keep what a task found, then its marker; OSError if the disk is full."""
-        for name, values in found.items():
-            at = self._selection(task)
-            self._arrays[name][at] = values.reshape(1, -1) if len(at) == 2 else values
+        """Keep what a task found, then its marker; StoreError if the disk is full."""
+        at = self._selection(task)
         try:
+            for name, values in found.items():
+                self._arrays[name][at] = values.reshape(1, -1) if len(at) == 2 else values
             write_whole(self.path / _MARKERS / task.name, _digest(found))
-        except InputError as error:  # the sentence is about a file that the user did not name
-            raise error.__cause__ or error from None
+        except (OSError, InputError) as error:
+            # The one that `write_whole` words is about a file that the user did not name.
+            cause = error if isinstance(error, OSError) else error.__cause__
+            if not isinstance(cause, OSError):
+                raise
+            raise StoreError(self.path, cause) from error
 
     def done(self) -> set[Task]:
         """Return the tasks that have a marker, and in the store the data that it was written for."""
