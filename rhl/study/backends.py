@@ -78,8 +78,8 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
     its tasks to others, a few times.
     """
     import distributed
-    from distributed.comm import CommClosedError
     from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.core import CommClosedError
 
     client_of: Any = distributed.Client  # which comes without types
 

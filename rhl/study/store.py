@@ -44,9 +44,9 @@ def versions() -> dict[str, str]:
         # What draws, prints and checks claims has no part in a run.
         if inside.parts[0] not in ("app", "paper", "plotting.py"):
             digest.update(f"{inside.as_posix()}\n".encode() + path.read_bytes())
-    found["source of rhl"] = digest.hexdigest()
+    found["source of rhl"] = digest.hexdigest()[:16]
     lock = _SOURCES.parent / "environment.lock"
-    found["environment.lock"] = hashlib.sha256(lock.read_bytes()).hexdigest() if lock.is_file() else "none found"
+    found["environment.lock"] = hashlib.sha256(lock.read_bytes()).hexdigest()[:16] if lock.is_file() else "none found"
     return found
 
 
