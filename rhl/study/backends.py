@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 from typing import Any
 
 from rhl._checks import describe, integer
@@ -44,30 +45,30 @@ def processes(count: int) -> Backend:
 
     @contextmanager
     def executor() -> Iterator[Executor]:
-        before = set(multiprocessing.active_children())
-        pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _begin_worker)
+        context = multiprocessing.get_context("spawn")
+        reader, writer = context.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(count, context, _begin_worker, (reader,))
         try:
             yield pool
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-            # They have nothing in hand unless this ends early, and then it is of no use any more.
-            for worker in set(multiprocessing.active_children()) - before:
-                worker.terminate()
+            # It ends the workers; what they have in hand where this ends early is of no use any more.
+            writer.close()
+            pool.shutdown(cancel_futures=True)
+            reader.close()
 
     return Backend(executor, 2 * count, (BrokenProcessPool,))
 
 
-def _begin_worker() -> None:
+def _begin_worker(reader: Connection) -> None:
     # Ctrl-C reaches every process of a terminal; the campaign's decides what becomes of its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(reader,), daemon=True).start()
 
 
-def _end_with(parent: Any) -> None:
-    """End this process when its parent has ended; a worker would else wait for tasks for ever."""
-    parent.join()
+def _end_with(reader: Connection) -> None:
+    """End this process when the other end of a pipe is closed, as it is when its process is killed."""
+    with suppress(EOFError, OSError):
+        reader.recv()
     os._exit(1)
 
 

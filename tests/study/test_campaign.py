@@ -271,7 +271,7 @@ def test_lost_workers_are_replaced():
 
 
 def test_workers_lost_again_and_again():
-    backend, executor = failing(*range(4, 100))
+    backend, _ = failing(*range(4, 100))
     kept = Kept()
     with pytest.raises(LostWorkersError, match="workers must stay until their tasks are done, got 4 losses"):
         run(CAMPAIGN, kept, backend)

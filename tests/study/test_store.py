@@ -174,7 +174,7 @@ def test_folders_that_are_refused(made, tmp_path):
     with pytest.raises(InputError, match=r"--resume must find a campaign in .*; remove the folder and begin anew"):
         Store.resume(tmp_path, CAMPAIGN, SETTINGS)
     (tmp_path / "provenance.json").write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="got provenance.json: what is no JSON"):
+    with pytest.raises(InputError, match=r"got provenance\.json: what is no JSON"):
         Store.resume(tmp_path, CAMPAIGN, SETTINGS)
 
 
@@ -205,9 +205,8 @@ def test_another_version(made, name):
 
 def test_one_campaign_at_a_time(made):
     pytest.importorskip("fcntl")
-    with made.held():
-        with pytest.raises(InputError, match="no other campaign writes into"), made.held():
-            pass
+    with made.held(), pytest.raises(InputError, match="no other campaign writes into"), made.held():
+        pass
     with made.held():
         pass
 
