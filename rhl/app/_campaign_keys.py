@@ -169,12 +169,15 @@ class CampaignFile(Section):
     def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]]) -> Self:
         """Read a file; ``schemes`` is the one key that is a list of sections."""
         given = table.get("schemes")
-        if not (isinstance(given, list) and given and all(isinstance(one, dict) for one in given)):
-            return super().read(at, table, wrong)
-        # An entry that is no section is refused by what the key must be, an empty list in its place is not.
-        found = super().read(at, table | {"schemes": []}, wrong)
-        found.given["schemes"] = [SchemeSection.read(f"schemes[{i + 1}].", one, wrong) for i, one in enumerate(given)]
-        return cls(found.given)
+        sections = isinstance(given, list) and all(isinstance(one, dict) for one in given)
+        # What is no list of sections is refused by what the key must be; sections are read here.
+        found = super().read(at, table | {"schemes": []} if sections else table, wrong)
+        if not sections:
+            return found
+        if not given:
+            wrong.append((False, f"schemes must be {cls.keys()['schemes']['description']}, got []"))
+        schemes = [SchemeSection.read(f"schemes[{i + 1}].", one, wrong) for i, one in enumerate(given or ())]
+        return cls(found.given | {"schemes": schemes})
 
     def campaign(self) -> Campaign:
         """Build what the file describes; InputError, which begins with the key, if numbers do not fit each other."""
