@@ -151,8 +151,7 @@ class CampaignFile(Section):
     seed = key("{}, from which plants and errors are drawn", integer(0, 2**32 - 1))
     steps = key("{}, the number of rows k = 0 .. steps-1 of each run", integer(20, 100_000), default=200)
     noise = key(
-        "{}, the standard deviation of the sensors' normal errors, relative to the largest that each output can be at "
-        "z(0)",
+        "{}, the standard deviation of the sensors' normal errors, relative to the largest of y(0)",
         NOT_NEGATIVE,
         default=0.0,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -204,8 +204,8 @@ class Campaign:
     steps : int
         Of each run, at least 20.
     noise : float
-        Standard deviation of normal errors of the outputs, in units of |H_i| |z(0)|, the largest that output i can be
-        at first. Each plant has errors of its own, which do not depend on the scheme.
+        Standard deviation of normal errors of the outputs, relative to the plant's largest |y(0)|. Each plant has
+        errors of its own, which do not depend on the scheme. Scores are of the outputs as measured.
     input_bound : float, optional
         Where the actuators saturate, the same for every input; no bound where omitted.
     chunk : int
@@ -253,16 +253,21 @@ class Campaign:
 
         Plants of one size run in one batch.
         """
-        drawn = [self.plants.draw(i) for i in range(task.first, task.stop)]
+        numbers = range(task.first, task.stop)
         if task.scheme is None:
-            return _facts(drawn)
+            return _facts([self.plants.draw(i) for i in numbers])
+        return self.runs(task.scheme, numbers)
+
+    def runs(self, scheme: int, numbers: Sequence[int]) -> dict[str, np.ndarray]:
+        """Run the scheme of that number on the plants of these: each of ``RUN_VARIABLES``, shape (len(numbers),)."""
+        drawn = [self.plants.draw(i) for i in numbers]
         found = {name: np.empty(len(drawn), about.dtype) for name, about in RUN_VARIABLES.items()}
         groups: dict[tuple[int, int, int, int], list[int]] = defaultdict(list)
         for at, one in enumerate(drawn):
             groups[one.size].append(at)
         for size, members in groups.items():
-            scheme = self.schemes[task.scheme].scheme(*size[1:])
-            trace = self._run(scheme, [drawn[at] for at in members], [task.first + at for at in members])
+            chosen = self.schemes[scheme].scheme(*size[1:])
+            trace = self._run(chosen, [drawn[at] for at in members], [numbers[at] for at in members])
             for name, values in _scores(trace).items():
                 found[name][members] = values
         return found
@@ -271,7 +276,7 @@ class Campaign:
         F, G, H, z0 = (np.stack([getattr(one, name) for one in drawn]) for name in ("F", "G", "H", "z0"))
         sensor = None
         if self.noise:
-            size = np.linalg.norm(H, axis=-1) * np.linalg.norm(z0, axis=-1)[:, None]
+            size = np.max(np.abs(H @ z0[..., None]), axis=-2)
             drawings = [default_rng(self.plants.errors(i)).standard_normal((self.steps, H.shape[-2])) for i in numbers]
             sensor = _Errors(self.noise * size * np.stack(drawings, axis=1))
         bound = self.input_bound
