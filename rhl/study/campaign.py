@@ -163,17 +163,23 @@ class Choice:
         weight = self.weight
         if weight is None:
             weight = known.weight if isinstance(known, GrowingMemory) else float(known.generator.weight)
+        # Whatever else the scheme's own estimator is set to stays.
         if self._growing:
-            return GrowingMemory(weight)
-        length = 2.0 if self.window is None else self.window
-        return ProximalEstimator(max(1, int(np.ceil(length * order))), generator=WeightedSquares(weight))
+            return replace(known, weight=weight) if isinstance(known, GrowingMemory) else GrowingMemory(weight)
+        window = max(1, int(np.ceil((2.0 if self.window is None else self.window) * order)))
+        generator = WeightedSquares(weight)
+        if isinstance(known, ProximalEstimator):
+            return replace(known, window=known.window if self.window is None else window, generator=generator)
+        return ProximalEstimator(window, generator=generator)
 
     def _controller(self, scheme: Scheme) -> Any:
         named = {
             name: getattr(self, name) for name in ("R", "horizon", "model_delay") if getattr(self, name) is not None
         }
         if self.eps_rate is not None:
-            named["epsilon"] = PowerDecay(self.eps_rate)
+            known: Any = scheme.controller.epsilon
+            own = isinstance(known, PowerDecay)
+            named["epsilon"] = replace(known, rate=self.eps_rate) if own else PowerDecay(self.eps_rate)
         return replace(scheme.controller, **named)
 
 
@@ -233,13 +239,13 @@ class Campaign:
             positive("input_bound", self.input_bound)
         if not self.schemes:
             raise InputError("schemes must have one at least, got none")
-        labels = []
+        labels, sizes = [], sorted(self.plants.sizes())
         for one in self.schemes:
             instance("schemes", one, Choice)
             if one.label in labels:
                 raise InputError(f"schemes must have labels that differ, got {describe(one.label)} twice")
             labels.append(one.label)
-            for size in sorted(self.plants.sizes()):
+            for size in sizes:
                 one.scheme(*size)
 
     def tasks(self) -> Iterator[Task]:

@@ -38,7 +38,9 @@ R = [1e-4, 1]
 [[schemes]]
 base = "window"
 """
-RHL = [sys.executable, "-m", "rhl", "campaign"]
+# A shell without job control starts what runs in the background deaf to Ctrl-C.
+HEARING = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+RHL = [sys.executable, "-c", f"{HEARING}; import sys; from rhl.app.cli import main; sys.exit(main())", "campaign"]
 
 
 @pytest.fixture
@@ -86,8 +88,6 @@ def begun(output, *arguments, tasks):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # A shell without job control starts what runs in the background deaf to Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     markers = Path(output, "done")
     while process.poll() is None and (not markers.is_dir() or len(list(markers.iterdir())) < tasks):
