@@ -7,7 +7,8 @@ import hashlib
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -140,7 +141,13 @@ class Store:
         return (plants,) if task.scheme is None else (slice(task.scheme, task.scheme + 1), plants)
 
     def write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
-        """Keep what a task found, then its marker; StoreError if the disk is full."""
+        """Keep what a task found, then its marker; StoreError if the disk is full.
+
+        An interrupt is raised when both are written.
+        """
+        _undisturbed(self._write, task, found)
+
+    def _write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
         at = self._selection(task)
         try:
             for name, values in found.items():
@@ -155,7 +162,7 @@ class Store:
 
     def done(self) -> set[Task]:
         """Return the tasks that have a marker, and in the store the data that it was written for."""
-        return {task for task in self.campaign.tasks() if self._is_done(task)}
+        return {task for task in self.campaign.tasks() if _undisturbed(self._is_done, task)}
 
     def _is_done(self, task: Task) -> bool:
         try:
@@ -236,6 +243,12 @@ def _template(campaign: Campaign, provenance: dict[str, Any]) -> xr.Dataset:
         **{f"version of {name}": found for name, found in provenance["versions"].items()},
     }
     return xr.Dataset(variables, coordinates, attributes)
+
+
+def _undisturbed(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a thread, where Ctrl-C does not reach it: zarr complains at exit of what was cut off."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(function, *arguments).result()
 
 
 def _differences(now: Any, then: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
