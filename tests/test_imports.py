@@ -90,7 +90,7 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-CAMPAIGNS = ["study.ensembles", "study.campaign", "study.store", "study.backends", "study.shipped"]
+CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = ["study", "study.rivals", "study.compare", *CAMPAIGNS]
 CAMPAIGN_COMMAND = ["app._campaign_keys", "app._campaign"]
 APP = [

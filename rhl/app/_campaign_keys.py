@@ -12,7 +12,8 @@ from typing import Any, Self
 from rhl._checks import shown
 from rhl.app._keys import FLAG, LINE, NOT_NEGATIVE, POSITIVE, SIZE, TEXT, Section, integer, key, list_of, table_of
 from rhl.errors import InputError
-from rhl.study.campaign import Campaign, Choice
+from rhl.study.campaign import Campaign
+from rhl.study.choices import Choice
 from rhl.study.ensembles import BenchmarkPlants, Ensemble, RandomPlants
 
 _LARGEST = 1_000_000

@@ -8,7 +8,8 @@ import pytest
 
 from rhl import InputError
 from rhl.study.backends import cluster, in_process, processes
-from rhl.study.campaign import Campaign, Choice, Task, run
+from rhl.study.campaign import Campaign, Task, run
+from rhl.study.choices import Choice
 from rhl.study.ensembles import RandomPlants
 from rhl.study.store import Store
 

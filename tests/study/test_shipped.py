@@ -10,7 +10,8 @@ import pytest
 from rhl import InputError
 from rhl.app._campaign_keys import parse
 from rhl.study.backends import in_process
-from rhl.study.campaign import Campaign, Choice, run
+from rhl.study.campaign import Campaign, run
+from rhl.study.choices import Choice
 from rhl.study.ensembles import RandomPlants
 from rhl.study.shipped import CAMPAIGNS, condense, configuration, numbers
 

@@ -10,7 +10,8 @@ import pytest
 from rhl import InputError
 from rhl.study import store as stores
 from rhl.study.backends import in_process
-from rhl.study.campaign import PLANT_VARIABLES, RUN_VARIABLES, Campaign, Choice, run
+from rhl.study.campaign import PLANT_VARIABLES, RUN_VARIABLES, Campaign, run
+from rhl.study.choices import Choice
 from rhl.study.ensembles import BenchmarkPlants, RandomPlants
 from rhl.study.store import Store, StoreError, load
 
