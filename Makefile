@@ -11,7 +11,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test serve site pdf verify bench lock clean
+.PHONY: help env book test serve site pdf verify bench campaign lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -46,6 +46,9 @@ verify: env ## every claim of the paper, and both simulations against its publis
 
 bench: env ## measure how fast the library is
 	pytest benchmarks --benchmark-only
+
+campaign: env ## run the campaigns behind the page on many plants anew, or go on with them, about 10 minutes
+	OPENBLAS_NUM_THREADS=1 python tools/campaign.py build/campaign --workers 2
 
 lock: $(BIN)/uv ## resolve pyproject.toml anew into environment.lock
 	$(BIN)/python tools/lock.py $(BIN)/uv

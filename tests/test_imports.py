@@ -95,7 +95,9 @@ PAPER = [
     "paper.pages",
     "paper.sweeps",
 ]
-STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare", "study.record"]
+CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
+STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare", "study.record", *CAMPAIGNS]
+CAMPAIGN_COMMAND = ["app._campaign_keys", "app._campaign"]
 APP = [
     "app",
     *(
@@ -110,9 +112,10 @@ APP = [
             "config",
             "_streams",
             "_compare",
-            "cli",
         )
     ),
+    *CAMPAIGN_COMMAND,
+    "app.cli",
 ]
 ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 # Beside the order, what keeps parts apart: control without estimation, problems without plants, and so on.
@@ -129,7 +132,7 @@ FORBIDDEN = {
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
-HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib")
+HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib", "dask", "distributed", "xarray", "zarr")
 
 
 def name_of(path):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 # The rest is imported by the commands that need it, so that help and refusals do not wait for numpy.
 from rhl import __version__
+from rhl.app import _campaign
 from rhl.app._streams import (
     STDOUT,
     check_targets,
@@ -45,7 +46,10 @@ OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 
 _TOO_LARGE = "the run must fit into memory"
 # Packages that some commands need, and the extra that brings them.
-_EXTRAS = {"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper"}
+_EXTRAS = {
+    **{"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper"},
+    **dict.fromkeys(("dask", "distributed", "xarray", "zarr"), "study"),
+}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -170,6 +174,8 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("--seeds", type=int, default=1, metavar="N", help="how many runs where anything is random (1)")
     compare.add_argument("--output", type=target_name, metavar="CSV", help="write a row for each run; - prints them")
     compare.set_defaults(command=_compare, plot=None)
+
+    _campaign.add(commands)
 
     schema = commands.add_parser("schema", allow_abbrev=False, help="print the JSON schema of a configuration")
     schema.add_argument("--output", type=target_name, metavar="FILE", help="write it to this file instead; - prints it")

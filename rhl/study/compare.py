@@ -54,10 +54,11 @@ def paper_scheme(p: int, q: int, order: int) -> Scheme:
 def our_scheme(p: int, q: int, order: int, bound: Array | None = None, noise: Array | float = 0.0) -> Scheme:
     """Return the default scheme for outputs of size p and inputs of size q, as it is run here.
 
-    It is told neither the bound of each input, shape (q,), nor the standard deviation of the outputs' errors, shape
-    (p,): like those of every scheme here, its inputs are clipped, and it learns from what was applied.
+    It is told the bound of each input, shape (q,), which its plans keep, and the standard deviation of the outputs'
+    errors, a number or shape (p,).
     """
-    return default_scheme(p, q, order)
+    bounds = None if bound is None else Saturation(-bound, bound)
+    return default_scheme(p, q, order, noise=noise, bounds=bounds)
 
 
 # From p, q, order, bound and noise.

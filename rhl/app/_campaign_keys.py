@@ -1,0 +1,271 @@
+"""The form of a campaign's TOML file: every key, what it must be, and the campaign that it describes."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any, Self
+
+from rhl._checks import shown
+from rhl.app._keys import FLAG, LINE, NOT_NEGATIVE, POSITIVE, SIZE, TEXT, Section, integer, key, list_of, table_of
+from rhl.errors import InputError
+from rhl.study.campaign import Campaign
+from rhl.study.choices import Choice
+from rhl.study.ensembles import BenchmarkPlants, Ensemble, RandomPlants
+
+_LARGEST = 1_000_000
+_SIZES = list_of(SIZE)
+_NUMBER: dict[str, Any] = {"type": "number"}
+_PAIR = list_of(_NUMBER)
+_FACTOR = _NUMBER | {"minimum": 1, "maximum": 100}
+
+
+def _swept(what: str, kind: Any, default: Any = None) -> Any:
+    """Declare a setting of a scheme that may be a list, of which each entry makes a scheme."""
+    return key(f"{what}, or a list of such", kind, list_of(kind), default=default)
+
+
+class RandomSection(Section):
+    """[plants] with kind = "random": random linear plants in discrete time."""
+
+    kind = key('"random"')
+    count = key("{}, how many plants for each combination of the sizes", integer(1, 10_000_000))
+    n = key("{}, the order, or a list of such", SIZE, _SIZES, default=4)
+    p = key("{}, the number of outputs, or a list of such", SIZE, _SIZES, default=1)
+    q = key("{}, the number of inputs, or a list of such", SIZE, _SIZES, default=1)
+    radius = key(
+        "a list of two positive numbers: the lowest and the highest spectral radius of what is not hidden, uniform in "
+        "between",
+        _PAIR,
+        default=[0.5, 1.2],
+    )
+    hidden = key(
+        "{}, how many of the n modes are hidden: stable, and either not reached by inputs or not seen by outputs",
+        integer(0, 99),
+        default=0,
+    )
+    conditioning = key(
+        "{} of at least 1, the largest condition number of the states' coordinates, log-uniform up to it",
+        POSITIVE,
+        default=1.0,
+    )
+    output_decades = key(
+        "{}: each output is multiplied by ten to a power uniform between minus and plus this",
+        NOT_NEGATIVE,
+        default=0.0,
+    )
+    input_decades = key("{}: the same for each input's effect", NOT_NEGATIVE, default=0.0)
+
+    def plants(self, seed: int) -> Ensemble:
+        return RandomPlants(seed, self.count, radius=_pair("radius", self.radius), **_shared(self))
+
+
+def _shared(section: Any) -> dict[str, Any]:
+    sizes = {name: tuple(_each(getattr(section, name))) for name in ("n", "p", "q")}
+    named = ("hidden", "conditioning", "output_decades", "input_decades")
+    return sizes | {name: getattr(section, name) for name in named}
+
+
+class SampledSection(Section):
+    """[plants] with kind = "random-continuous": random linear plants in continuous time, sampled."""
+
+    kind = key('"random-continuous"')
+    count = key("{}, how many plants for each combination of the sizes and sampling", integer(1, 10_000_000))
+    n, p, q = (RandomSection.keys()[name] for name in ("n", "p", "q"))
+    growth = key(
+        "a list of two numbers: the lowest and the highest rate of growth in 1/s, the largest real part of the "
+        "eigenvalues of what is not hidden, uniform in between",
+        _PAIR,
+        default=[-0.5, 0.5],
+    )
+    sampling = key("{}, the seconds between samples, or a list of such", POSITIVE, list_of(POSITIVE), default=0.1)
+    hidden, conditioning, output_decades, input_decades = (
+        RandomSection.keys()[name] for name in ("hidden", "conditioning", "output_decades", "input_decades")
+    )
+
+    def plants(self, seed: int) -> Ensemble:
+        growth, sampling = _pair("growth", self.growth), tuple(_each(self.sampling))
+        return RandomPlants(seed, self.count, growth=growth, sampling=sampling, **_shared(self))
+
+
+class BenchmarkSection(Section):
+    """[plants] with kind = "benchmarks": the COMPleib collection's."""
+
+    kind = key('"benchmarks"')
+    names = key("a list of names such as ac1; all up to order ten if left out", list_of(TEXT), default=[])
+    sampling = key("{}, the seconds between samples, or a list of such", POSITIVE, list_of(POSITIVE), default=0.1)
+
+    def plants(self, seed: int) -> Ensemble:
+        return BenchmarkPlants(tuple(self.names), tuple(_each(self.sampling)), seed)
+
+
+class SchemeSection(Section):
+    """[[schemes]], one for each scheme: where settings are lists, one for each combination of their entries."""
+
+    base = key('"default" or "window": rhl.default_scheme or rhl.window_scheme')
+    label = key(
+        "{}, what it is called in the results; base and the settings that are given if left out", LINE, default=None
+    )
+    order_factor = _swept(
+        "a number from 1 to 100: the scheme is told the bound on the observability index times this, rounded up",
+        _FACTOR,
+        1.0,
+    )
+    inputs = _swept("{}, the size of the first inputs of the default scheme", POSITIVE)
+    R = _swept("{}, the weight of inputs", POSITIVE)
+    eps_rate = _swept("{}, in eps(k) = 1/(1 + eps_rate k)", POSITIVE)
+    weight = _swept("{}, the weight that holds the estimate to the one before", POSITIVE)
+    horizon = _swept("{}, N", integer(1, 10_000))
+    model_delay = _swept("0 (control with the estimate of this step) or 1 (of the step before)", integer(0, 1))
+    memory = key(
+        '"growing" (every measured transition is fitted) or "window" (the last ones; with the default scheme, units '
+        "must be false)",
+        default=None,
+    )
+    window = _swept("{}, how many transitions a window holds, in multiples of the order that is told", POSITIVE)
+    units = key("{}: that the default scheme's weights count signals in running units", FLAG, default=None)
+
+    def choices(self) -> list[Choice]:
+        """Return the schemes, one for each combination of the lists' entries."""
+        swept = [name for name, value in self.given.items() if isinstance(value, list)]
+        for name in swept:
+            if not self.given[name]:
+                raise InputError(f"{name} must have an entry at least, got an empty list")
+        fixed = {name: value for name, value in self.given.items() if name not in swept and name != "label"}
+        found = []
+        for values in product(*(self.given[name] for name in swept)):
+            varied = dict(zip(swept, values, strict=True))
+            told = varied if self.label is not None else {**fixed, **varied}
+            start = self.base if self.label is None else self.label
+            settings = ", ".join(f"{name} = {_said(value)}" for name, value in told.items() if name != "base")
+            found.append(Choice(f"{start}, {settings}" if settings else start, **fixed, **varied))
+        return found
+
+
+class CampaignFile(Section):
+    """A whole file."""
+
+    name = key("{}, what the campaign is called, without control characters", LINE)
+    seed = key("{}, from which plants and errors are drawn", integer(0, 2**32 - 1))
+    steps = key("{}, the number of rows k = 0 .. steps-1 of each run", integer(20, 100_000), default=200)
+    noise = key(
+        "{}, the standard deviation of the sensors' normal errors, relative to the largest of y(0)",
+        NOT_NEGATIVE,
+        default=0.0,
+    )
+    input_bound = key("{}: inputs are clipped to plus and minus this; no bound if left out", POSITIVE, default=None)
+    chunk = key(
+        "{}, how many plants a task and a chunk of the store have; results do not depend on it",
+        integer(1, 1_000_000),
+        default=250,
+    )
+    plants = key("{}", table_of(RandomSection, SampledSection, BenchmarkSection))
+    schemes = key("a list of sections [[schemes]], one at least", list_of({"type": "object"}))
+
+    @classmethod
+    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]]) -> Self:
+        """Read a file; ``schemes`` is the one key that is a list of sections."""
+        given = table.get("schemes")
+        sections = isinstance(given, list) and all(isinstance(one, dict) for one in given)
+        # What is no list of sections is refused by what the key must be; sections are read here.
+        found = super().read(at, table | {"schemes": []} if sections else table, wrong)
+        if not sections:
+            return found
+        if not given:
+            wrong.append((False, f"schemes must be {cls.keys()['schemes']['description']}, got []"))
+        schemes = [SchemeSection.read(f"schemes[{i + 1}].", one, wrong) for i, one in enumerate(given or ())]
+        return cls(found.given | {"schemes": schemes})
+
+    def campaign(self) -> Campaign:
+        """Build what the file describes; InputError, which begins with the key, if numbers do not fit each other."""
+        try:
+            plants = self.plants.plants(self.seed)
+        except InputError as error:
+            raise InputError(f"plants.{error}") from None
+        choices: list[Choice] = []
+        for i, section in enumerate(self.schemes):
+            try:
+                choices += section.choices()
+            except InputError as error:
+                raise InputError(f"schemes[{i + 1}].{error}") from None
+        return Campaign(plants, tuple(choices), self.steps, self.noise, self.input_bound, self.chunk)
+
+
+def load(path: str | os.PathLike[str]) -> tuple[CampaignFile, str, dict[str, Any]]:
+    """Read a campaign's TOML file; return what it says, its text, and its settings as they stand there.
+
+    InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
+    """
+    name = shown(path)
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
+    if len(content) > _LARGEST:
+        raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
+        raise InputError(f"{name} must be valid TOML, got: {detail}") from error
+    return parse(data), text, data
+
+
+def parse(data: dict[str, Any]) -> CampaignFile:
+    """Check a campaign's description as a dictionary; InputError says in a sentence which key does not fit first."""
+    wrong: list[tuple[bool, str]] = []
+    found = CampaignFile.read("", data, wrong)
+    # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
+    for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
+        raise InputError(sentence)
+    return found
+
+
+def keys() -> Iterator[tuple[str, str]]:
+    """Yield every key with what it must be, in the order of the file; the help and the book's reference.
+
+    A key of some kinds of plants only says so.
+    """
+    for name, about in CampaignFile.keys().items():
+        kinds = (SchemeSection,) if name == "schemes" else about.get("sections", ())
+        if not kinds:
+            yield name, _told(about)
+        found: dict[tuple[str, str], list[str]] = {}
+        for kind in kinds:
+            for inner, one in kind.keys().items():
+                found.setdefault((inner, "" if inner == "kind" else _told(one)), []).append(kind.tag())
+        for (inner, what), tags in found.items():
+            of = f" (kind = {' or '.join(tags)})" if len(tags) < len(kinds) else ""
+            yield f"{name}.{inner}", f"{what}{of}" if what else " or ".join(tags)
+
+
+def _told(about: Any) -> str:
+    what = str(about["description"])
+    if "default" not in about or "if left out" in what:
+        return what
+    default = about["default"]
+    return f"{what}; may be left out" if default in (None, []) else f"{what}; {default} if left out"
+
+
+def _each(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _pair(name: str, value: list[float]) -> tuple[float, float]:
+    if len(value) != 2:
+        raise InputError(f"{name} must be a list of two numbers, got {len(value)}")
+    return value[0], value[1]
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,136 @@
+"""Who does a campaign's tasks: this process, processes of its own, or a Dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from rhl._checks import describe, integer
+from rhl.errors import InputError
+from rhl.study.campaign import Backend, LostWorkersError
+
+# Seconds for which a cluster may be without workers before a campaign gives it up.
+_PATIENCE = 60.0
+
+
+class _InProcess(Executor):
+    """Does a task when it is handed over; what interrupts it is raised there."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def in_process() -> Backend:
+    """Return a backend that does one task after the other in this process."""
+    return Backend(_InProcess)
+
+
+def processes(count: int) -> Backend:
+    """Return a backend of that many worker processes, which end with this one, however it ends."""
+    integer("workers", count, 1)
+
+    @contextmanager
+    def executor() -> Iterator[Executor]:
+        context = multiprocessing.get_context("spawn")
+        reader, writer = context.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(count, context, _begin_worker, (reader,))
+        try:
+            yield pool
+        finally:
+            # It ends the workers; what they have in hand where this ends early is of no use any more.
+            writer.close()
+            pool.shutdown(cancel_futures=True)
+            reader.close()
+
+    return Backend(executor, 2 * count, (BrokenProcessPool,))
+
+
+def _begin_worker(reader: Connection) -> None:
+    # Ctrl-C reaches every process of a terminal; the campaign's decides what becomes of its workers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(reader,), daemon=True).start()
+
+
+def _end_with(reader: Connection) -> None:
+    """End this process when the other end of a pipe is closed, as it is when its process is killed."""
+    with suppress(EOFError, OSError):
+        reader.recv()
+    os._exit(1)
+
+
+def cluster(address: str, timeout: float = 10.0) -> Backend:
+    """Return a backend of the workers of a Dask scheduler, which must have this library at hand.
+
+    InputError if no scheduler answers in ``timeout`` seconds, or it has no workers. Where a worker is lost, Dask gives
+    its tasks to others, a few times.
+    """
+    import distributed
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.core import CommClosedError
+
+    client_of: Any = distributed.Client  # which comes without types
+
+    def connect() -> Any:
+        try:
+            # Here, because a client that fails over an address without a port is slow, and loud, to go.
+            parse_host_port(parse_address(address)[1])
+            return client_of(address, timeout=timeout, set_as_default=False)
+        except (OSError, ValueError) as error:
+            what = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f"--scheduler must be the address of a Dask scheduler that answers, got {describe(address)}: "
+                f"{what[:120]}"
+            ) from None
+
+    with connect() as client:
+        threads = sum(client.nthreads().values())
+    if not threads:
+        raise InputError(
+            f"--scheduler must have workers, got none at {describe(address)}; start some with dask worker {address}"
+        )
+    seen = time.monotonic()
+    open_clients: list[Any] = []
+
+    def check() -> None:
+        nonlocal seen
+        client = open_clients[-1]
+        if client.status == "running" and client.nthreads():
+            seen = time.monotonic()
+        elif time.monotonic() - seen > _PATIENCE:
+            raise LostWorkersError(
+                f"the scheduler must keep workers, got none for {_PATIENCE:g} s at {describe(address)}"
+            )
+
+    @contextmanager
+    def executor() -> Iterator[Executor]:
+        nonlocal seen
+        seen = time.monotonic()
+        try:
+            opened = connect()
+        except InputError as error:  # it answered before
+            raise LostWorkersError(str(error)) from None
+        with opened as client:
+            open_clients.append(client)
+            # Tasks that are handed over once more are not to be given the answer, or the failure, of before.
+            pool = client.get_executor(pure=False)
+            try:
+                yield pool
+            finally:
+                pool.shutdown(wait=False)
+
+    lost = (distributed.KilledWorker, CommClosedError, CancelledError)
+    return Backend(executor, 2 * threads, lost, check)

@@ -1,0 +1,272 @@
+"""Results of a campaign in a folder: a zarr store that xarray reads, and a marker for each task that is done."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from shutil import rmtree
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import rhl
+from rhl._checks import describe, shown
+from rhl._files import write_whole
+from rhl.errors import InputError, RHLError
+from rhl.study.campaign import PLANT_VARIABLES, RUN_VARIABLES, Campaign, Task
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_DATA, _PROVENANCE, _MARKERS, _LOCK = "results.zarr", "provenance.json", "done", "lock"
+_SOURCES = Path(rhl.__file__).parent
+
+
+def versions() -> dict[str, str]:
+    """Return what results depend on beside the configuration: versions, the library's source, the lock if there is one.
+
+    The machine is not among it: another processor may round otherwise.
+    """
+    found = {"rhl": rhl.__version__, "python": platform.python_version()}
+    found |= {name: version(name) for name in ("numpy", "scipy", "numba")}
+    digest = hashlib.sha256()
+    for path in sorted(_SOURCES.rglob("*.py")):
+        inside = path.relative_to(_SOURCES)
+        # What draws, prints and checks claims has no part in a run.
+        if inside.parts[0] not in ("app", "paper", "plotting.py"):
+            digest.update(f"{inside.as_posix()}\n".encode() + path.read_bytes())
+    found["source of rhl"] = digest.hexdigest()[:16]
+    lock = _SOURCES.parent / "environment.lock"
+    found["environment.lock"] = hashlib.sha256(lock.read_bytes()).hexdigest()[:16] if lock.is_file() else "none found"
+    return found
+
+
+class StoreError(RHLError):
+    """The store takes no more; what is in it stays."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        full = "; make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        what = error.strerror or " ".join(str(error).split()) or type(error).__name__
+        super().__init__(f"{shown(path)} must take the results, got: {what}{full}")
+
+
+@dataclass(frozen=True)
+class Store:
+    """The folder of a campaign; ``create`` or ``resume`` makes one, in which one process writes.
+
+    It holds ``results.zarr`` for ``xarray.open_zarr``, ``provenance.json``, and in ``done`` a marker for each task. A
+    task fills one chunk of each variable. Its marker is written after them and holds their digest, so that a task
+    whose data did not arrive whole is done again.
+
+    Parameters
+    ----------
+    path : Path
+    campaign : Campaign
+    """
+
+    path: Path
+    campaign: Campaign
+
+    @classmethod
+    def create(cls, path: str | os.PathLike[str], campaign: Campaign, configuration: str, settings: Any) -> Store:
+        """Make a new folder, with nothing done.
+
+        ``configuration`` is kept as it is, and ``settings``, what JSON can hold, is what ``resume`` compares.
+        InputError if the folder exists or cannot be made. StoreError if it does not take the store.
+        """
+        folder = Path(path)
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            raise InputError(
+                f"--output must name a new folder, got {shown(path)}, which exists; add --resume to go on with it"
+            ) from None
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"--output must name a folder that can be made, got {shown(path)}: {why}") from None
+        provenance = {"versions": versions(), "settings": settings, "configuration": configuration}
+        try:
+            (folder / _MARKERS).mkdir()
+            _template(campaign, provenance).to_zarr(folder / _DATA, compute=False, consolidated=True, zarr_format=2)
+            # Last, since what has none is no campaign's folder.
+            (folder / _PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+        except BaseException as error:
+            rmtree(folder, ignore_errors=True)
+            if isinstance(error, OSError):
+                raise StoreError(folder, error) from error
+            raise
+        return cls(folder, campaign)
+
+    @classmethod
+    def resume(cls, path: str | os.PathLike[str], campaign: Campaign, settings: Any) -> Store:
+        """Open a folder to go on; InputError if it is no campaign's, or settings or versions are not those of then."""
+        folder = Path(path)
+        try:
+            before = json.loads((folder / _PROVENANCE).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or "what is no JSON"
+            anew = "remove the folder and begin anew" if folder.exists() else "leave it out to begin"
+            raise InputError(
+                f"--resume must find a campaign in {shown(path)}, got {_PROVENANCE}: {why}; {anew}"
+            ) from None
+        for what, now, then in (
+            ("the configuration", settings, before["settings"]),
+            ("the versions", versions(), before["versions"]),
+        ):
+            for name, mine, theirs in _differences(json.loads(json.dumps(now)), then):
+                raise InputError(
+                    f"--resume must find {what} as when the campaign began, got {name} = {describe(mine)} and then "
+                    f"{describe(theirs)}; begin anew in another folder"
+                )
+        return cls(folder, campaign)
+
+    @cached_property
+    def _arrays(self) -> Any:
+        import zarr
+
+        return zarr.open_group(self.path / _DATA, mode="r+", zarr_format=2)
+
+    def _selection(self, task: Task) -> tuple[slice, ...]:
+        plants = slice(task.first, task.stop)
+        return (plants,) if task.scheme is None else (slice(task.scheme, task.scheme + 1), plants)
+
+    def write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
+        """Keep what a task found, then its marker; StoreError if the disk is full.
+
+        An interrupt is raised when both are written.
+        """
+        _undisturbed(self._write, task, found)
+
+    def _write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
+        at = self._selection(task)
+        try:
+            for name, values in found.items():
+                self._arrays[name][at] = values.reshape(1, -1) if len(at) == 2 else values
+            write_whole(self.path / _MARKERS / task.name, _digest(found))
+        except (OSError, InputError) as error:
+            # The one that `write_whole` words is about a file that the user did not name.
+            cause = error if isinstance(error, OSError) else error.__cause__
+            if not isinstance(cause, OSError):
+                raise
+            raise StoreError(self.path, cause) from error
+
+    def done(self) -> set[Task]:
+        """Return the tasks that have a marker, and in the store the data that it was written for."""
+        return {task for task in self.campaign.tasks() if _undisturbed(self._is_done, task)}
+
+    def _is_done(self, task: Task) -> bool:
+        try:
+            expected = (self.path / _MARKERS / task.name).read_text(encoding="ascii")
+        except (FileNotFoundError, ValueError):
+            return False
+        names, at = PLANT_VARIABLES if task.scheme is None else RUN_VARIABLES, self._selection(task)
+        try:
+            return _digest({name: np.asarray(self._arrays[name][at]).reshape(-1) for name in names}) == expected
+        except (OSError, ValueError, RuntimeError):  # a chunk that was cut off does not unpack
+            return False
+
+    def dataset(self) -> xr.Dataset:
+        """Return the results, in memory."""
+        return load(self.path)
+
+    def digest(self) -> str:
+        """Return a hash over every variable's bytes, which does not depend on chunks, workers and interruptions."""
+        found = self.dataset()
+        return _digest({name: found[name].values for name in (*PLANT_VARIABLES, *RUN_VARIABLES)})
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other processes from writing into the folder meanwhile; InputError if one does."""
+        try:
+            import fcntl
+        except ImportError:  # a system without such locks
+            yield
+            return
+        with (self.path / _LOCK).open("a") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise InputError(
+                    f"--output must name a folder that no other campaign writes into, got {shown(self.path)}; "
+                    "wait until it has ended"
+                ) from None
+            yield
+
+
+def load(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Return the results in a campaign's folder as an xarray.Dataset, in memory.
+
+    Dimensions are scheme and plant. Where a task is not done, floats are NaN and integers zero.
+    """
+    import xarray as xr
+
+    with xr.open_zarr(Path(path) / _DATA, chunks=None) as found:
+        return found.load()
+
+
+def _template(campaign: Campaign, provenance: dict[str, Any]) -> xr.Dataset:
+    import dask.array as da
+    import xarray as xr
+
+    schemes, plants, chunk = len(campaign.schemes), len(campaign.plants), campaign.chunk
+
+    def empty(shape: tuple[int, ...], chunks: tuple[int, ...], dims: tuple[str, ...], about: Any) -> xr.DataArray:
+        data: Any = da.zeros(shape, dtype=about.dtype, chunks=chunks)
+        return xr.DataArray(data, dims=dims, attrs={"units": about.units, "description": about.description})
+
+    variables = {
+        **{name: empty((plants,), (chunk,), ("plant",), about) for name, about in PLANT_VARIABLES.items()},
+        **{
+            name: empty((schemes, plants), (1, chunk), ("scheme", "plant"), about)
+            for name, about in RUN_VARIABLES.items()
+        },
+    }
+    labels = campaign.plants.labels()
+    coordinates: dict[str, Any] = {"scheme": [one.label for one in campaign.schemes], "plant": np.arange(plants)}
+    if labels:
+        coordinates["name"] = ("plant", labels)
+    attributes = {
+        "title": "Receding horizon learning on many plants",
+        "steps": campaign.steps,
+        "configuration": provenance["configuration"],
+        "machine": f"{platform.system()} {platform.machine()}",
+        **{f"version of {name}": found for name, found in provenance["versions"].items()},
+    }
+    return xr.Dataset(variables, coordinates, attributes)
+
+
+def _undisturbed(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a thread, where Ctrl-C does not reach it: zarr complains at exit of what was cut off."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(function, *arguments).result()
+
+
+def _differences(now: Any, then: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield where two settings differ: the key, and both values."""
+    if isinstance(now, dict) and isinstance(then, dict):
+        for key in {**now, **then}:
+            yield from _differences(now.get(key), then.get(key), f"{name}.{key}" if name else key)
+    elif isinstance(now, list) and isinstance(then, list) and len(now) == len(then):
+        for i, (mine, theirs) in enumerate(zip(now, then, strict=True)):
+            yield from _differences(mine, theirs, f"{name}[{i + 1}]")
+    elif now != then:
+        yield name, now, then
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
