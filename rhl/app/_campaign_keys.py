@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterator
 from itertools import product
-from pathlib import Path
 from typing import Any, Self
 
-from rhl._checks import shown
-from rhl.app._keys import FLAG, LINE, NOT_NEGATIVE, POSITIVE, SIZE, TEXT, Section, integer, key, list_of, table_of
+from rhl.app._keys import (
+    FLAG,
+    LINE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SIZE,
+    TEXT,
+    Section,
+    integer,
+    key,
+    list_of,
+    read_toml,
+    table_of,
+)
 from rhl.errors import InputError
 from rhl.study.campaign import Campaign
 from rhl.study.choices import Choice
 from rhl.study.ensembles import BenchmarkPlants, Ensemble, RandomPlants
 
-_LARGEST = 1_000_000
 _SIZES = list_of(SIZE)
 _NUMBER: dict[str, Any] = {"type": "number"}
 _PAIR = list_of(_NUMBER)
@@ -166,12 +175,12 @@ class CampaignFile(Section):
     schemes = key("a list of sections [[schemes]], one at least", list_of({"type": "object"}))
 
     @classmethod
-    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]]) -> Self:
+    def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:
         """Read a file; ``schemes`` is the one key that is a list of sections."""
         given = table.get("schemes")
         sections = isinstance(given, list) and all(isinstance(one, dict) for one in given)
         # What is no list of sections is refused by what the key must be; sections are read here.
-        found = super().read(at, table | {"schemes": []} if sections else table, wrong)
+        found = super().read(at, table | {"schemes": []} if sections else table, wrong, changes)
         if not sections:
             return found
         if not given:
@@ -199,23 +208,7 @@ def load(path: str | os.PathLike[str]) -> tuple[CampaignFile, str, dict[str, Any
 
     InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
     """
-    name = shown(path)
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
-    if len(content) > _LARGEST:
-        raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
-        raise InputError(f"{name} must be valid TOML, got: {detail}") from error
+    text, data = read_toml(path)
     return parse(data), text, data
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import re
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from math import inf
+from pathlib import Path
 from typing import Any, Self
 
-from rhl._checks import describe
+from rhl._checks import describe, shown
 from rhl.errors import InputError
 
 Kind = Mapping[str, Any]
+
+# Of a file, in bytes: room for matrices of a few hundred rows.
+_LARGEST = 5_000_000
 
 
 def integer(low: int, high: int) -> Kind:
@@ -190,3 +196,25 @@ class Section:
         """Refuse a key that is given and would not be heeded."""
         if name in self.given and not heeded:
             raise InputError(f"{name} must be left out {where}, got {describe(getattr(self, name))}; it has no effect")
+
+
+def read_toml(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
+    """Read a TOML file and return its text and its tables; InputError if it is missing, too large or not TOML."""
+    name = shown(path)
+    try:
+        with Path(path).open("rb") as file:
+            content = file.read(_LARGEST + 1)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
+    if len(content) > _LARGEST:
+        raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # the parser's own error is a ValueError, and so is a huge number's
+        detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
+        raise InputError(f"{name} must be valid TOML, got: {detail}") from error
+    return text, data

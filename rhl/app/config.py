@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import textwrap
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +12,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from rhl._checks import Array, describe, real_array, shown
+from rhl._checks import Array, describe, real_array
 from rhl.app._keys import (
     COUNT,
     LINE,
@@ -26,6 +25,7 @@ from rhl.app._keys import (
     fitted,
     key,
     list_of,
+    read_toml,
     table_of,
 )
 from rhl.app._plants import PLANTS
@@ -52,9 +52,6 @@ from rhl.tracking import SetPoint
 
 # The sections that stand in a file without the key order; beside it they change what it chooses.
 _NEEDED = ("lifting", "estimator", "controller")
-
-# Of the file, in bytes: room for matrices of a few hundred rows.
-_LARGEST = 5_000_000
 
 
 class Config(Section):
@@ -225,23 +222,7 @@ def load(path: str | os.PathLike[str]) -> Config:
 
     InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
     """
-    name = shown(path)
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(_LARGEST + 1)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{name} must be a readable TOML file, got: {getattr(error, 'strerror', error)}") from error
-    if len(content) > _LARGEST:
-        raise InputError(f"{name} must be a TOML file of at most {_LARGEST} bytes, got more")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # the parser's own error is a ValueError, and so is a huge number's
-        detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
-        raise InputError(f"{name} must be valid TOML, got: {detail}") from error
+    _, data = read_toml(path)
     plant = data.get("plant")
     if isinstance(plant, dict) and isinstance(plant.get("file"), str):
         plant["file"] = str(Path(path).parent / plant["file"])
@@ -351,7 +332,10 @@ def published(name: str, source: str) -> str:
         order, what = observability_index(plant.F, plant.H), found.what
     elif source in names():
         benched = benchmark(source)
-        plant, order, what = benched.sampled(), benched.order(), f"COMPleib's {source}, sampled every 0.1 s"
+        plant, order = benched.sampled(), benched.order()
+        what = (
+            benched.title if benched.discrete else f"{benched.title}, sampled every {benched.h:g} {benched.time_unit}"
+        )
         matrices = {symbol: getattr(plant, symbol).tolist() for symbol in "FGH"}
         section = {"kind": "linear", **matrices, "z0": benched.z0.tolist()}
     else:

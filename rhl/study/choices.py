@@ -34,7 +34,7 @@ class Choice:
     inputs : float, optional
         Size of the first inputs, of the default scheme.
     R, eps_rate, weight : float, optional
-        Input weight, rate of the harmonic schedule, weight of the estimator's generator.
+        Input weight, rate of the schedule of epsilon, weight of the estimator's generator.
     horizon : int, optional
         N, at least 1.
     model_delay : int, optional

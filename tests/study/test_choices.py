@@ -11,7 +11,7 @@ from rhl.study.choices import Choice
     ("settings", "check"),
     [
         ({"R": 0.5}, lambda scheme: scheme.controller.R == 0.5),
-        ({"eps_rate": 7.0}, lambda scheme: scheme.controller.epsilon(1) == 1 / 8),
+        ({"eps_rate": 7.0}, lambda scheme: scheme.controller.epsilon(1) == 1 / 64),
         ({"horizon": 9}, lambda scheme: scheme.controller.horizon == 9),
         ({"model_delay": 1}, lambda scheme: scheme.controller.model_delay == 1),
         ({"weight": 0.25}, lambda scheme: scheme.estimator.weight == 0.25),
