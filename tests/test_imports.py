@@ -96,7 +96,16 @@ PAPER = [
     "paper.sweeps",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
-STUDY = ["study", "study.rivals", "study.adaptive", "study.deepc", "study.compare", "study.record", *CAMPAIGNS]
+STUDY = [
+    "study",
+    "study.rivals",
+    "study.adaptive",
+    "study.deepc",
+    "study.compare",
+    "study.record",
+    *CAMPAIGNS,
+    "study.knobs",
+]
 CAMPAIGN_COMMAND = ["app._campaign_keys", "app._campaign"]
 APP = [
     "app",

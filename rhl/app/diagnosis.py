@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, instance, real_array, reason
-from rhl.app._after import FITS, LOST, of_models, of_signals
+from rhl.app._after import FITS, LESS_PEAK, LOST, of_models, of_signals
 from rhl.app._finding import Diagnosis, Finding, Verdict
 from rhl.closed_loop import start, step
 from rhl.controllability import LambdaSearch, controllability_margin
@@ -22,6 +22,7 @@ from rhl.plants import LinearPlant, Plant
 from rhl.plants.analysis import (
     Modes,
     detectability,
+    growth_alone,
     linearise,
     observability_index,
     spectral_radius,
@@ -147,21 +148,12 @@ def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array) -> Iterator[Finding]
     """
     m = min(scheme.lifting.outputs, scheme.lifting.inputs)
     steps = m + plant.n + m * plant.q
-    start = float(np.max(np.abs(plant.H @ z0)))
-    if start == 0:
+    if not np.any(plant.H @ z0):
         return
-    z, largest, at = z0, 1.0, 0
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(1, steps + 1):
-            z = plant.F @ z
-            size = float(np.max(np.abs(plant.H @ z))) / start
-            if not np.isfinite(size):
-                largest, at = np.inf, k
-                break
-            largest, at = (size, k) if size > largest else (largest, at)
+    largest = float(growth_alone(plant, z0, steps))
     says = f"left alone, the outputs grow {largest:.3g} times in the {steps} steps that learning takes"
     if largest > _PREDICTED:
-        says += "; lower order if it is above the observability index, sample faster, or begin from a [rough] model"
+        says += f"; {LESS_PEAK}, or sample faster"
     yield Finding("Peak to expect", "suspect" if largest > _PREDICTED else "note", says)
 
 

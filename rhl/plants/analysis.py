@@ -245,6 +245,30 @@ def signal_model(F: Array, G: Array, H: Array, m: int) -> SignalModel:
     return SignalModel(A, B)
 
 
+def growth_alone(plant: LinearPlant, z0: ArrayLike, steps: int) -> Array:
+    r"""Return how far outputs grow without inputs, :math:`\max_{k \le steps} |H F^k z_0| / |H z_0|`, shape (...).
+
+    Sizes are those of the largest entry. Infinite where a number leaves the range of float64; one where y(0) is zero
+    and stays so. z0 has shape (..., n), and leading axes broadcast with those of the plant.
+
+    Examples
+    --------
+    >>> float(growth_alone(LinearPlant([[2.0]], [[1.0]], [[1.0]]), [3.0], steps=5))
+    32.0
+    """
+    instance("plant", plant, LinearPlant)
+    z = real_array("z0", z0, (plant.n,))
+    first = np.max(np.abs(np.einsum("...pn,...n->...p", plant.H, z)), axis=-1)
+    largest = first
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(integer("steps", steps, 1)):
+            z = np.einsum("...ab,...b->...a", plant.F, z)
+            size = np.max(np.abs(np.einsum("...pn,...n->...p", plant.H, z)), axis=-1)
+            largest = np.maximum(largest, np.where(np.isfinite(size), size, np.inf))
+    grown = largest / np.where(first > 0, first, 1.0)
+    return np.asarray(np.where(first > 0, grown, np.where(largest > 0, np.inf, 1.0)))
+
+
 def rough_model(plant: LinearPlant, outputs: int, inputs: int) -> SignalModel:
     r"""Make the lifted model of equation (55) from a rough physical model, for the scheme to start from.
 

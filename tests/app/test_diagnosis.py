@@ -303,3 +303,32 @@ def test_steps_at_a_bound_are_counted():
     changed = np.sum(clipped.v != clipped.v_computed)
     assert f"changed by the actuator in {changed} of 60 steps" in says(diagnose_run(clipped), "Input bounds")
     assert "Input bounds" not in verdicts(diagnose_run(simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 60)))
+
+
+def test_a_high_peak_is_suspect_and_names_what_to_turn():
+    start = [1.0, 0.5]
+    blind = diagnose_run(simulate(default_scheme(1, 1, 4), FAST, start, 80))
+    assert verdicts(blind)["Peak of the outputs"] == "suspect"
+    assert "lower order if it is above the observability index, or begin from a [rough]" in says(
+        blind, "Peak of the outputs"
+    )
+    window = diagnose_run(simulate(SCHEME, FAST, start, 80))
+    assert "give order in place of [lifting]" in says(window, "Peak of the outputs")
+    quiet = diagnose_run(simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 80))
+    assert "Peak of the outputs" not in verdicts(quiet)
+
+
+def test_hints_where_a_run_did_not_end_at_rest():
+    subject = "Theorem 3, state and input go to zero"
+    short = simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 8)
+    assert "not gone yet: run on" in says(diagnose_run(short), subject)
+    noisy = simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 80, sensor=GaussianNoise(0.02, 1))
+    assert "noise = their standard deviation" in says(diagnose_run(noisy), subject)
+    told = simulate(default_scheme(1, 1, 2, noise=0.02), PLANT, [1.0, -1.0], 80, sensor=GaussianNoise(0.02, 1))
+    assert "standard deviation" not in says(diagnose_run(told), subject)
+    deaf = LinearPlant([[1.2, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
+    assert "it grew: lower order" in says(
+        diagnose_run(simulate(default_scheme(1, 1, 2), deaf, [1.0, 0.5], 60)), subject
+    )
+    window = simulate(SCHEME, deaf, [1.0, 0.5], 60)
+    assert "it grew: give order in place of" in says(diagnose_run(window), subject)

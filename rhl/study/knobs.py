@@ -1,0 +1,204 @@
+"""What to turn where a run disappoints: each remedy tried on many plants that show the symptom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rhl._checks import Array, instance, integer
+from rhl.disturbances import GaussianNoise
+from rhl.model import SignalModel
+from rhl.plants.analysis import rough_model
+from rhl.plants.linear import LinearPlant
+from rhl.scheme import Scheme, default_scheme, window_scheme
+from rhl.simulation import simulate
+from rhl.study.ensembles import RandomPlants
+
+# At rest are outputs whose last twenty are below this share of the largest of y(0); with noise, below three deviations.
+_REST, _LAST, _DEVIATIONS = 0.05, 20, 3.0
+# The share of y(0) by which sensors err, where a knob is about that.
+_NOISE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Plants:
+    """Plants of one size, as a batch: ``plant``, their initial states z0, and a bound on their observability index.
+
+    The largest entry of each y(0) is one.
+    """
+
+    plant: LinearPlant
+    z0: Array
+    order: int
+
+    @classmethod
+    def drawn(cls, ensemble: RandomPlants) -> Plants:
+        """Take all plants of an ensemble, which must have one size."""
+        every = [ensemble.draw(i) for i in range(len(ensemble))]
+        F, G, H, z0 = (np.stack([getattr(one, name) for one in every]) for name in ("F", "G", "H", "z0"))
+        first = np.max(np.abs(np.einsum("...pn,...n->...p", H, z0)), axis=-1)
+        return cls(LinearPlant(F, G, H / first[:, None, None]), z0, every[0].bound)
+
+    def some(self, which: np.ndarray) -> Plants:
+        """Return the members that a mask marks."""
+        plant = LinearPlant(*(M[which] for M in (self.plant.F, self.plant.G, self.plant.H)))
+        return Plants(plant, self.z0[which], self.order)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How runs went: the largest output relative to y(0), whether they ended at rest, and the last outputs' size."""
+
+    peak: Array
+    at_rest: np.ndarray
+    end: Array
+
+
+# What a scheme is made of, and what errs between it and the plants.
+Setting = Callable[[Plants], tuple[Scheme, dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A remedy: which runs it is for, how they are set up, and what is turned.
+
+    Attributes
+    ----------
+    symptom, turn : str
+        In words; ``turn`` names the key of the file.
+    start, turned : callable
+        Plants to a scheme and the keywords of ``simulate``.
+    shows, mended : callable
+        From an outcome, which members show the symptom, and which no longer do.
+    longer : int
+        How many times as many steps the second run takes.
+    """
+
+    symptom: str
+    turn: str
+    start: Setting
+    turned: Setting
+    shows: Callable[[Outcome], np.ndarray]
+    mended: Callable[[Outcome], np.ndarray]
+    longer: int = 1
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What turning a knob came to: of how many plants, how many showed the symptom, and how many of those not after.
+
+    ``lower`` is how many had a lower peak, ``ratio`` the geometric mean of the peaks after over those before.
+    """
+
+    plants: int
+    shown: int
+    mended: int
+    lower: int
+    ratio: float
+
+
+def outcome(plants: Plants, setting: Setting, steps: int) -> Outcome:
+    """Run plants and judge them; a member that diverges has an infinite peak."""
+    scheme, errs = setting(plants)
+    trace = simulate(scheme, plants.plant, plants.z0, steps, record="signals", **errs)
+    size = np.max(np.abs(trace.y), axis=-1)
+    lost = trace.diverged_at >= 0
+    limit = _REST + (_DEVIATIONS * _NOISE if "sensor" in errs else 0.0)
+    end = np.where(lost, np.inf, np.max(size[-_LAST:], axis=0))
+    return Outcome(np.where(lost, np.inf, np.max(size, axis=0)), end < limit, end)
+
+
+def tried(knob: Knob, plants: Plants, steps: int = 200) -> Tried:
+    """Run plants, and those that show the symptom once more with the knob turned."""
+    instance("knob", knob, Knob)
+    integer("steps", steps, _LAST)
+    before = outcome(plants, knob.start, steps)
+    shown = knob.shows(before)
+    count = int(np.sum(shown))
+    if count == 0:
+        return Tried(len(plants.z0), 0, 0, 0, 1.0)
+    after = outcome(plants.some(shown), knob.turned, knob.longer * steps)
+    peaks = np.minimum(before.peak[shown], 1e12), np.minimum(after.peak, 1e12)
+    ratio = float(np.exp(np.mean(np.log(peaks[1] / peaks[0]))))
+    return Tried(
+        len(plants.z0), count, int(np.sum(knob.mended(after))), int(np.sum(after.peak < before.peak[shown])), ratio
+    )
+
+
+def _default(plants: Plants, more: int = 0, **settings: Any) -> Scheme:
+    return default_scheme(plants.plant.p, plants.plant.q, plants.order + more, **settings)
+
+
+def rough(error: float, seed: int = 0) -> Setting:
+    """Return the setting that begins from a model whose matrices are off by ``error`` in each entry, relative."""
+
+    def begin(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
+        rng, models = np.random.default_rng(seed), []
+        for parts in zip(plants.plant.F, plants.plant.G, plants.plant.H, strict=True):
+            believed = LinearPlant(*(M * (1 + error * rng.standard_normal(M.shape)) for M in parts))
+            models.append(rough_model(believed, plants.order, plants.order))
+        model = SignalModel(np.stack([of.A for of in models]), np.stack([of.B for of in models]))
+        scheme = _default(plants)
+        assert scheme.units is not None
+        return replace(scheme, initial_model=model, units=replace(scheme.units, model_in_sizes=False, caution=0.0)), {}
+
+    return begin
+
+
+def _noisy(told: bool) -> Setting:
+    def begin(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
+        return _default(plants, noise=_NOISE if told else 0.0), {"sensor": GaussianNoise(_NOISE, seed=1)}
+
+    return begin
+
+
+def _plain(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
+    return _default(plants), {}
+
+
+def _high(of: Outcome) -> np.ndarray:
+    return of.peak > 100.0
+
+
+def _not_high(of: Outcome) -> np.ndarray:
+    return of.peak <= 100.0
+
+
+def _restless(of: Outcome) -> np.ndarray:
+    return ~of.at_rest
+
+
+def _at_rest(of: Outcome) -> np.ndarray:
+    return of.at_rest
+
+
+def _window(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
+    return window_scheme(plants.plant.p, plants.plant.q, plants.order), {}
+
+
+def _longer(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
+    scheme = _default(plants)
+    return replace(scheme, controller=replace(scheme.controller, horizon=2 * scheme.controller.horizon)), {}
+
+
+KNOBS = (
+    Knob("sections without order: not at rest", "order in their place", _window, _plain, _restless, _at_rest),
+    Knob("sections without order: peak above 100", "order in their place", _window, _plain, _high, _not_high),
+    Knob("peak above 100", "a [rough] model, right to a tenth", _plain, rough(0.1), _high, _not_high),
+    Knob("peak above 100", "a [rough] model, wrong by half", _plain, rough(0.5), _high, _not_high),
+    Knob("peak above 100", "input_size = 0.01", _plain, lambda of: (_default(of, inputs=0.01), {}), _high, _not_high),
+    Knob(
+        "peak above 100, order two above the index",
+        "order = the index",
+        lambda of: (_default(of, 2), {}),
+        _plain,
+        _high,
+        _not_high,
+    ),
+    Knob("not at rest yet", "three times the steps", _plain, _plain, _restless, _at_rest, longer=3),
+    Knob("not at rest yet", "twice the horizon", _plain, _longer, _restless, _at_rest),
+    Knob("sensors err by 1 %: not at rest", "noise = 0.01", _noisy(False), _noisy(True), _restless, _at_rest),
+)
