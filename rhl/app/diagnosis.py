@@ -35,7 +35,7 @@ from rhl.trace import Trace
 __all__ = ["Diagnosis", "Finding", "Verdict", "diagnose", "diagnose_run"]
 
 # Predicted is a large peak where the plant left alone passes this many times its first output while it is learned: of
-# the plants that do, two thirds pass a hundred times, and of those that pass that, three quarters are found so.
+# the plants that do, more than half pass a hundred times, and most of those that pass that are found so.
 _PREDICTED = 30.0
 
 
