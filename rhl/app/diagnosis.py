@@ -72,7 +72,7 @@ def diagnose(
         (
             *_of_plant(plant, scheme, start),
             *_of_scheme(scheme),
-            *_of_disturbances(sensor, actuator, load),
+            *_of_disturbances(scheme, sensor, actuator, load),
         )
     )
 
@@ -276,12 +276,16 @@ def _pace(scheme: Scheme) -> str:
 
 
 def _of_disturbances(
-    sensor: Disturbances | None, actuator: Disturbances | None, load: Disturbances | None
+    scheme: Scheme, sensor: Disturbances | None, actuator: Disturbances | None, load: Disturbances | None
 ) -> Iterator[Finding]:
+    untold = scheme.units is not None and not np.any(scheme.units.noise)
     for name, part in (("Sensor", sensor), ("Actuator", actuator), ("Load", load)):
         if part is not None and part != ():
             what = " and ".join(map(_named, part if isinstance(part, tuple) else (part,)))
-            yield Finding(name, "outside", f"{what} stands between scheme and plant; the theory knows none")
+            says = f"{what} stands between scheme and plant; the theory knows none"
+            if untold and part is not actuator:
+                says += "; the scheme expects no errors: say how large they are, noise"
+            yield Finding(name, "outside", says)
 
 
 def _named(part: Disturbance) -> str:
