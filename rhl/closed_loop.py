@@ -24,6 +24,9 @@ from rhl.problems import V1
 from rhl.scheme import Scheme
 from rhl.tracking import seen
 
+# A first output that is this much smaller than the next was small by chance, and is no size to count in.
+_CHANCE = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class ControllerState:
@@ -132,8 +135,8 @@ class Step:
 
     @property
     def centre(self) -> SignalModel:
-        """The proximal centre theta~(k-1): at k = 0 the initial model, in the units of the signals."""
-        return _centre(self.scheme, self.state, self.size)
+        """The proximal centre theta~(k-1); at k = 0, and where an output is first seen, what the initial model says."""
+        return centre_of(self.scheme, self.k, self.state.model, self.state.size, self.size)
 
     @property
     def _sizes(self) -> tuple[Array, Array] | None:
@@ -183,10 +186,24 @@ def start(scheme: Scheme) -> ControllerState:
     )
 
 
-def _centre(scheme: Scheme, state: ControllerState, size: Array | None) -> SignalModel:
-    if scheme.units is None or state.k > 0 or size is None:
-        return state.model
-    return scheme.units.initial(state.model, scheme.lifting, size, scheme.q)
+def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, size: Array | None) -> SignalModel:
+    """Return the proximal centre at k: theta~(k-1), or what the initial model says of outputs in the sizes seen now.
+
+    The latter where an output is seen for the first time, since before it had no size, or was small by chance as long
+    as nothing was remembered. ``before`` and ``size``, shape (..., p), are the sizes before k and at k.
+    """
+    units = scheme.units
+    if units is None or size is None or not units.model_in_sizes:
+        return model
+    if k == 0:
+        return units.initial(scheme.initial_model, scheme.lifting, size, scheme.q)
+    least = _CHANCE if isinstance(scheme.estimator, GrowingMemory) and k < _first_remembered(scheme) else 0.0
+    fresh = (cast(Array, before) <= least * size) & (size > 0)
+    if not np.any(fresh):
+        return model
+    begun = units.initial(scheme.initial_model, scheme.lifting, size, scheme.q)
+    rows = np.tile(fresh, scheme.lifting.outputs)[..., None]
+    return SignalModel(np.where(rows, begun.A, model.A), np.where(rows, begun.B, model.B))
 
 
 def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | None) -> tuple[Array, Array] | None:
@@ -199,12 +216,17 @@ def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | 
     return units.weights(used, lifting, found, q, unknown)
 
 
+def _first_remembered(scheme: Scheme) -> int:
+    """Return the first k whose transition is all measured."""
+    return max(scheme.lifting.outputs, scheme.lifting.inputs)
+
+
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
     """Return the memory of ``GrowingMemory`` at k; nothing is remembered while zeros from before k = 0 are lifted."""
     estimator = scheme.estimator
     assert isinstance(estimator, GrowingMemory)
     assert state.data is not None
-    if state.k < max(scheme.lifting.outputs, scheme.lifting.inputs):
+    if state.k < _first_remembered(scheme):
         return state.data
     return estimator.remember(state.data, x, u)
 
@@ -243,7 +265,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     x = lifting.lift(y_history, estimator.window + 1)
     u = lifting.window(v_history, lifting.inputs, estimator.window)
     size = None if state.size is None else np.maximum(state.size, np.abs(y_history[..., 0, :]))
-    centre, data = _centre(scheme, state, size), state.data
+    centre, data = centre_of(scheme, state.k, state.model, state.size, size), state.data
     counted = None if scheme.units is None else scheme.units.parameters(lifting, cast(Array, size), scheme.q)
     if isinstance(estimator, GrowingMemory):
         data = remembered(scheme, state, x, u)

@@ -12,7 +12,7 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, table_text, write_whole
-from rhl.closed_loop import ControllerState, Step, replay
+from rhl.closed_loop import ControllerState, Step, centre_of, replay
 from rhl.controllability import controllability_margin
 from rhl.errors import InputError
 from rhl.horizon import Plan
@@ -280,10 +280,10 @@ class Trace:
         return max(self.scheme.lifting.outputs, self.scheme.lifting.inputs)
 
     def _centre(self, k: int) -> SignalModel:
-        units, size = self.scheme.units, self._size
-        if k > 0 or units is None or size is None:
+        if self._size is None:
             return self.model(k - 1)
-        return units.initial(self.model(-1), self.scheme.lifting, size[0], self.scheme.q)
+        before = self._size[k - 1] if k else np.zeros_like(self._size[0])
+        return centre_of(self.scheme, k, self.model(k - 1), before, self._size[k])
 
     @cached_property
     def newton_decrement(self) -> Array:

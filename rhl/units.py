@@ -78,7 +78,7 @@ class RunningUnits:
     def initial(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> SignalModel:
         """Return theta~(0), given in sizes, in the units of the signals; size, shape (..., p), is that of y(0).
 
-        An output that is zero is moved by no input until it is seen to be.
+        Of an output that is zero nothing is said.
         """
         if not self.model_in_sizes:
             return model
