@@ -18,21 +18,26 @@ _ASKED, _ACCEPTED, _ITERATIONS = 1e-10, 1e-7, 60
 _LOWERED, _STEPS = 1e-12, 20
 
 
-def pushes(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
-    r"""Return what is added to the inputs -K_i x_i so that they keep their bounds at the least cost, shape (N, q).
+def inputs_within(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
+    r"""Return the inputs of the plan that costs least within the bounds, shape (N, q).
 
     With :math:`w_i = V_i (u_i + K_i x_i)` the cost is that of the free plan plus :math:`\sum_i |w_i|^2`, so that the
     programme is to find the shortest w within the bounds. The recursion's K and V have shapes (N, q, n) and (N, q, q),
     x is the state at its start, and the bounds of u_i, or of u_0 + ... + u_i where ``summed``, have shape (q,).
 
-    An interior-point method (PIQP) solves most problems in a millisecond. Where weights are so far apart that it does
-    not reach its tolerance, an active-set method on the same least squares does (scipy's BVLS), which factors them
-    orthogonally.
+    An interior-point method (PIQP) solves most problems in a millisecond. Where it does not reach its tolerance, or
+    what it finds does not cost what it says, an active-set method on the same least squares is asked as well (scipy's
+    BVLS): weights are far apart then, or the state grows so far that -K x and what is added to it cancel. The feedback
+    -K x, clipped, is a plan too; the one that costs least is returned.
     """
     N, q = K.shape[:2]
-    inverse, length = np.linalg.inv(V), _clipped_length(A, B, K, V, x, low, high, summed)
+    clipped, length = _clipped(A, B, K, V, x, low, high, summed)
     if not np.isfinite(length):
         raise NotFiniteError("the plan must stay in the range of floating-point numbers, got infinity in it")
+    if length == 0:
+        return clipped
+    found = [(length**2, clipped)]
+    inverse = np.linalg.inv(V)
     effect, free = np.empty((N, q, N * q)), np.empty((N, q))
     states, start = np.zeros((len(x), N * q)), x
     for i in range(N):
@@ -46,27 +51,53 @@ def pushes(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: A
     below, above = (((edge - free) / width).ravel() for edge in (low, high))
     w: Array | None = np.zeros(N * q)
     # Counted in its own length, the solution is as accurate as the solver; the first length may be far too long.
-    while length > 0 and w is not None:
+    while length > 0 and w is not None and np.all(np.isfinite(length * G)):
         before, w = length, _interior(np.asfortranarray(length * G), below, above)
         if w is not None:
             w = before * w
             length = float(np.linalg.norm(w))
             if length > 0.1 * before:
                 break
-    if w is None:
-        return _active_set(A, B, K, V, x, low, high, summed)
-    return np.asarray(np.einsum("iab,ib->ia", inverse, w.reshape(N, q)))
+    trusted = False
+    if w is not None and length > 0:
+        u = _kept(free + (effect.reshape(N * q, N * q) @ w).reshape(N, q), low, high, summed)
+        cost = _cost(A, B, K, V, x, u)
+        found.append((cost, u))
+        trusted = abs(cost - length**2) <= _ACCEPTED**0.5 * length**2
+    if not trusted:
+        u = _active_set(A, B, K, V, x, low, high, summed)
+        found.append((_cost(A, B, K, V, x, u), u))
+    return min(found, key=lambda one: one[0] if np.isfinite(one[0]) else np.inf)[1]
 
 
-def _clipped_length(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> float:
-    """Return the length of w where the feedback -K x is clipped, which keeps the bounds."""
-    squares, total = 0.0, np.zeros(len(low))
-    for gain, root in zip(K, V, strict=True):
-        wanted = -gain @ x
-        u = np.clip(total + wanted, low, high) - total
-        squares += float(np.sum((root @ (u - wanted)) ** 2))
-        x, total = A @ x + B @ u, total + u if summed else total
-    return float(np.sqrt(squares))
+def _cost(A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> float:
+    """Return what inputs cost more than the free plan, |w|^2."""
+    total = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for gain, root, one in zip(K, V, u, strict=True):
+            total += float(np.sum((root @ (one + gain @ x)) ** 2))
+            x = A @ x + B @ one
+    return total
+
+
+def _kept(v: Array, low: Array, high: Array, summed: bool) -> Array:
+    """Bring what is bounded into its bounds, to the last bit, and return the inputs."""
+    v = np.clip(v, low, high)
+    return np.diff(v, axis=0, prepend=0.0) if summed else v
+
+
+def _clipped(
+    A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool
+) -> tuple[Array, float]:
+    """Return the feedback -K x clipped, which keeps the bounds, and how long its w is."""
+    squares, total, u = 0.0, np.zeros(len(low)), np.empty(K.shape[:2])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i, (gain, root) in enumerate(zip(K, V, strict=True)):
+            wanted = -gain @ x
+            u[i] = np.clip(total + wanted, low, high) - total
+            squares += float(np.sum((root @ (u[i] - wanted)) ** 2))
+            x, total = A @ x + B @ u[i], total + u[i] if summed else total
+        return u, float(np.sqrt(squares))
 
 
 def _interior(G: Array, below: Array, above: Array) -> Array | None:
@@ -84,7 +115,7 @@ def _interior(G: Array, below: Array, above: Array) -> Array | None:
 
 
 def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
-    """Return the same pushes, from w as a function of what is bounded."""
+    """Return the same inputs, from w as a function of what is bounded."""
     from scipy.optimize import lsq_linear  # here, because few plans come this far
 
     N, q = K.shape[:2]
@@ -103,8 +134,7 @@ def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, hi
             f"the plan within the bounds of the input must be found in {steps} active-set steps, got none; "
             "shorten the horizon, or leave the bounds to the actuator"
         )
-    w = (matrix @ found.x - target).reshape(N, q)
-    return np.asarray(np.linalg.solve(V, w[..., None])[..., 0])
+    return _kept(found.x.reshape(N, q), low, high, summed)
 
 
 @cache

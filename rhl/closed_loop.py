@@ -272,6 +272,8 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
         estimate = estimator.minimise(centre, data, counted)
     else:
         estimate = estimator.minimise(centre, x, u, state.k, counted)
+    if estimate.A.shape[:-2] != lead:  # nothing is remembered yet, so that no member differs from another
+        estimate = SignalModel(*(np.broadcast_to(M, (*lead, *M.shape[-2:])) for M in (estimate.A, estimate.B)))
     lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
     model = estimate.mix(centre, lam)
     stage = np.full(lead, state.k) if state.stage is None else state.stage

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._bounded import pushes
+from rhl._bounded import inputs_within
 from rhl._checks import Array, common_batch, instance, positive, read_only, real_array
 from rhl._riccati import gains, rollout, truncated_min_norm
 from rhl.errors import InfeasibleError, NotFiniteError
@@ -194,8 +194,9 @@ def _solve(problem: Problem, x: Array) -> Plan:
     push = np.zeros((problem.horizon, q)) if isinstance(problem, V1) else _pushes(problem, A, B, K, V, state)
     u, states = rollout(A, B, K, push, state)
     if isinstance(problem, V1) and problem.bounds is not None and np.any(_outside(problem.bounds, u) > 0):
-        push = _within(problem.bounds, A, B, K, V, state, u)
-        u, states = rollout(A, B, K, push, state)
+        u = _within(problem.bounds, A, B, K, V, state, u)
+        # The feedback of a state that grows, and what keeps its inputs in bounds, would cancel in another rollout.
+        u, states = rollout(A, B, np.zeros_like(K), u, state)
     return Plan(problem, u, states[..., :n])
 
 
@@ -264,15 +265,15 @@ def _outside(bounds: InputBounds, u: Array) -> Array:
 
 
 def _within(bounds: InputBounds, A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> Array:
-    """Return what is added to the inputs -K x of each member of a batch so that they keep the bounds."""
+    """Return the inputs u of a batch, with those replaced that leave the bounds, shape (..., N, q)."""
     leaves = _outside(bounds, u) > 0
     lead = leaves.shape
     parts = ((A, 2), (B, 2), (K, 3), (V, 3), (x, 1), (bounds.low, 1), (bounds.high, 1))
     A, B, K, V, x, low, high = (np.broadcast_to(M, (*lead, *M.shape[M.ndim - core :])) for M, core in parts)
-    push = np.zeros((*lead, *u.shape[-2:]))
+    kept = np.array(np.broadcast_to(u, (*lead, *u.shape[-2:])))
     for at in zip(*np.nonzero(leaves), strict=True) if lead else [()]:
-        push[at] = pushes(A[at], B[at], K[at], V[at], x[at], low[at], high[at], bounds.summed)
-    return push
+        kept[at] = inputs_within(A[at], B[at], K[at], V[at], x[at], low[at], high[at], bounds.summed)
+    return kept
 
 
 def _held(bounds: InputBounds, u: Array, gradient: Array, size: Array) -> tuple[Array, Array, Array]:

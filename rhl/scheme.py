@@ -23,6 +23,9 @@ from rhl.schedules import PowerDecay, Schedule, epsilon_at
 from rhl.tracking import SetPoint
 from rhl.units import RunningUnits
 
+# Widths of its bounds that an input may be outside of them; beyond, rounding would take the bounds for one.
+_FAR = 1e6
+
 
 @dataclass(frozen=True, eq=False)
 class Controller:
@@ -113,7 +116,11 @@ class Controller:
         if self.bounds is None:
             return None
         low, high = (np.broadcast_to(edge, q) for edge in (self.bounds.low, self.bounds.high))
-        return InputBounds(low, high) if before is None else InputBounds(low - before, high - before, summed=True)
+        if before is None:
+            return InputBounds(low, high)
+        # An input far outside of its bounds, which an actuator reported, would leave no room between them in float64.
+        near = np.clip(before, low - _FAR * (high - low), high + _FAR * (high - low))
+        return InputBounds(low - near, high - near, summed=True)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
         """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3), for the augmented state x (..., n).
@@ -198,12 +205,8 @@ class Scheme:
                 )
 
     def _check_sizes_of_signals(self) -> None:
-        bounds = self.controller.bounds
-        if bounds is not None and not {np.shape(bounds.low), np.shape(bounds.high)} <= {(), (self.q,)}:
-            raise InputError(
-                f"bounds must be numbers or have {self.q} entries, one for each input, got {np.shape(bounds.low)} and "
-                f"{np.shape(bounds.high)}"
-            )
+        if self.controller.bounds is not None:
+            _check_bounds(self.controller.bounds, self.q)
         if self.set_point is not None:
             instance("set_point", self.set_point, SetPoint)
             self.set_point.at(0, self.p)
@@ -253,6 +256,22 @@ class Scheme:
     def q(self) -> int:
         """Size of the input v."""
         return self.initial_model.q // self.lifting.inputs
+
+
+def _check_bounds(bounds: Saturation, q: int) -> None:
+    instance("bounds", bounds, Saturation)
+    if not {np.shape(bounds.low), np.shape(bounds.high)} <= {(), (q,)}:
+        raise InputError(
+            f"bounds must be numbers or have {q} entries, one for each input, got {np.shape(bounds.low)} and "
+            f"{np.shape(bounds.high)}"
+        )
+
+
+def _share_of_range(bounds: Saturation) -> Array:
+    """Return a hundredth of the range of each input, or 0.1 where that is no number to begin with."""
+    with np.errstate(over="ignore"):
+        found = 0.01 * (np.asarray(bounds.high) - bounds.low)
+    return np.where(np.isfinite(found) & (found > 0), found, 0.1)
 
 
 def window_scheme(p: int, q: int, order: int) -> Scheme:
@@ -341,8 +360,10 @@ def scheme_for(
     B[:p, :q] = 1.0 / (1.0 + np.abs(np.arange(p)[:, None] - np.arange(q)))
     if set_point is not None:
         A[:p, :p] = np.eye(p)
+    if bounds is not None:
+        _check_bounds(bounds, q)
     if inputs is None:
-        inputs = 0.1 if bounds is None else 0.01 * (np.asarray(bounds.high) - bounds.low)
+        inputs = 0.1 if bounds is None else _share_of_range(bounds)
     units, R = RunningUnits(inputs, noise=noise), 0.03
     if np.any(np.asarray(units.noise) > 0):
         R, units = 1.0, replace(units, caution=0.0, past=0.3)

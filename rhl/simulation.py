@@ -337,9 +337,9 @@ class _General:
         return v
 
     def remember(self, v: Array) -> None:
-        assert self.done is not None
         if len(self.active) == 0:
             return
+        assert self.done is not None
         self.state = advance(self.scheme, self.done, v[self.active])
 
     def _diverges(self, i: int, y: Array) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, describe, real_array
-from rhl.errors import InputError
+from rhl.errors import InputError, NotFiniteError
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +54,24 @@ class SetPoint:
 
     def at(self, k: int, p: int) -> Array:
         """Return r(k), shape (p,); InputError if it has another size or is not finite."""
-        given: object = self.value(k) if callable(self.value) else self.value
-        found = real_array(f"the set point at k = {k}", given)  # type: ignore[arg-type]
+        given: object = self._called(k) if callable(self.value) else self.value
+        try:
+            found = real_array(f"the set point at k = {k}", given)  # type: ignore[arg-type]
+        except NotFiniteError as error:  # of the caller's making, unlike a run that diverges
+            raise InputError(str(error)) from None
         if found.shape not in ((), (p,)):
             raise InputError(
                 f"the set point must be a number or have {p} entries, one for each output, got {describe(given)}"
             )
         return np.broadcast_to(found, p)
+
+    def _called(self, k: int) -> object:
+        assert callable(self.value)
+        try:
+            return self.value(k)
+        except Exception as error:
+            error.add_note(f"rhl called the set point at k = {k}")
+            raise
 
 
 def seen(

@@ -106,6 +106,19 @@ def test_weights_that_are_far_apart():
     assert plan.value <= np.sum((M @ found.x + c) ** 2) * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("summed", [False, True])
+def test_a_plan_keeps_its_bounds_where_the_state_grows_without_limit(summed):
+    """The feedback and what keeps it within bounds would cancel: the state grows to 1e18."""
+    one = V1(SignalModel([[2.0]], [[1.0]]), 1.0, 1.0, 1.0, 1.0, 60, InputBounds([-0.1], [0.1], summed))
+    plan = solve(one, [1.0])
+    v = np.cumsum(plan.u, axis=0) if summed else plan.u
+    assert np.abs(v).max() <= 0.1 + 1e-15
+    # No input is better than pushing back with all there is, at the first step at least.
+    assert plan.u[0] == pytest.approx(-0.1)
+    idle = one.model.predictor(60).predict(np.array([1.0]), np.zeros((60, 1)))
+    assert plan.value < Plan(one, np.zeros((60, 1)), idle).value
+
+
 def test_what_is_not_solved_is_said(monkeypatch):
     one, x = problem(0, size=0.3)
     assert solve(one, x).residual() < 1e-5

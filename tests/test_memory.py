@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhl import GrowingMemory, InputError, ProximalEstimator, SignalModel, simulate
+from rhl import GrowingMemory, InputError, LinearPlant, ProximalEstimator, SignalModel, default_scheme, simulate
 from rhl.losses import WeightedSquares
 from rhl.paper.published import linear_example
 
@@ -141,3 +141,21 @@ def test_bad_data():
     memory, centre = GrowingMemory(), SignalModel(np.eye(2), np.ones((2, 1)))
     with pytest.raises(InputError, match=r"data must have shape \(3, 5\), as begin returns it, got \(2, 3\)"):
         memory.minimise(centre, memory.begin(1, 1))
+
+
+def test_a_batch_without_units_tells_its_steps():
+    example = linear_example()
+    scheme = replace(example.scheme, estimator=GrowingMemory(1.0))
+    starts = np.stack([example.z0, 0.5 * example.z0])
+    together = simulate(scheme, example.plant, starts, 12)
+    for i, z0 in enumerate(starts):
+        alone = simulate(scheme, example.plant, z0, 12)
+        assert np.allclose(together.y_hat[:, i], alone.y_hat)
+        assert np.allclose(together.theta[:, i], alone.theta)
+
+
+def test_a_batch_whose_members_all_diverge_at_once():
+    plant = LinearPlant([[1.1]], [[1.0]], [[1.0]])
+    run = simulate(default_scheme(1, 1, 1), plant, [[1e300], [-1e300]], 5)
+    assert run.diverged_at.tolist() == [0, 0]
+    assert np.all(run.v == 0)

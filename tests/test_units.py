@@ -200,6 +200,25 @@ def test_bad_sizes(inputs):
         RunningUnits(inputs)
 
 
+@pytest.mark.parametrize("make", [default_scheme, lambda *sizes: default_scheme(*sizes, noise=1e-3)])
+def test_outputs_that_begin_at_zero_or_near_it(make):
+    """An output that begins at zero has no size to count in; it gets one when it is seen."""
+    unstable = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    runs = [simulate(make(1, 1, 2), unstable, [first, 1.0], 100) for first in (0.0, 1e-9)]
+    for run in runs:
+        assert np.abs(run.v).max() > 0
+        assert np.abs(run.y).max() < 100
+        assert np.abs(run.y[-1]).max() < 1e-3
+        steps = [done.centre.theta for done in run.steps]
+        assert np.all(run.newton_decrement < 1e-6)
+        assert not np.array_equal(steps[1], steps[0])
+    assert np.abs(runs[0].y).max() == pytest.approx(np.abs(runs[1].y).max(), rel=1e-3)
+    late = simulate(make(1, 1, 2), unstable, [0.0, 0.0], 150, load=lambda k, v: v + (0.3 if k >= 20 else 0.0))
+    assert np.all(late.v[:20] == 0)
+    assert np.abs(late.v).max() > 0
+    assert np.abs(late.y).max() < 1e4
+
+
 def test_a_window_counts_in_sizes_too():
     found, z0 = plant(3)
     window = ProximalEstimator(8, LogCosh(0.1), WeightedSquares(1e-4))

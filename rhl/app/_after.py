@@ -18,6 +18,8 @@ LOST = 1e-9
 _END, _GONE = 10, 1e-3
 # A model that misses more than this share of a run's signals does not reproduce them.
 FITS = 1e-6
+# What is left of a run with errors is a few times as large as these.
+_FLOOR = 10.0
 # A peak above this many times the first output is suspect.
 _PEAK = 100.0
 # What was found to help on plants that did not shape the rule: the book's page on symptoms has the shares.
@@ -48,26 +50,43 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     below = ", and read what is suspect below" if suspect_below else ""
     reason = "" if converged else f"; {_hint(trace, z, end)}{below}"
     yield Finding("Set point" if tracks else "Theorem 3, state and input go to zero", verdict, ends + reason)
-    at = int(np.argmax(z))
-    yield Finding(
-        "Peak",
-        "note",
-        f"largest |{name}| {z[at]:.3g} at k = {at}, {z[at] / max(float(z[0]), 1e-300):.3g} times that at k = 0; "
-        f"largest |{input_name}| {v.max():.3g} at k = {int(np.argmax(v))}",
-    )
+    yield _of_sizes(trace, v, input_name)
     yield from _of_peak(trace)
     yield from _of_bounds(trace)
 
 
+def _of_sizes(trace: Trace, v: Array, input_name: str) -> Finding:
+    """Say how large the signals became: outputs as a prediction counts them, and the state in its own coordinates."""
+    y = _size(trace.error)
+    at, seen = int(np.argmax(y)), np.flatnonzero(y > 0)
+    times = f", {y[at] / y[seen[0]]:.3g} times the first" if len(seen) else ""
+    says = [f"largest |{'y' if trace.set_point is None else 'y - r'}| {y[at]:.3g} at k = {at}{times}"]
+    if trace.plant_state is not None and trace.set_point is None:
+        says.append(f"largest |z| {np.max(np.abs(trace.z)):.3g} (the state, in the plant's own coordinates)")
+    says.append(f"largest |{input_name}| {v.max():.3g} at k = {int(np.argmax(v))}")
+    free = trace.scheme.controller.bounds is None and trace.scheme.units is not None
+    return Finding("Peak", "note", "; ".join(says) + ("; v_min and v_max keep inputs within a range" if free else ""))
+
+
 def _hint(trace: Trace, z: Array, end: int) -> str:
     """Say what to turn where a run did not end at rest."""
-    if trace.scheme.units is None:
-        return f"{'it grew' if np.max(z[-end:]) > np.max(z[:end]) else 'not gone yet'}: {_CHOSEN}, or run on"
-    misfit = _misfit(trace)
-    if misfit is not None and misfit > FITS and not np.any(trace.scheme.units.noise):
-        return "if the sensors err, say by how much: noise = their standard deviation"
-    if np.max(z[-end:]) < np.max(z):
-        return "not gone yet: run on"
+    units, late = trace.scheme.units, slice(-end, None)
+    if units is None:
+        return f"{'it grew' if np.max(z[late]) > np.max(z[:end]) else 'not gone yet'}: {_CHOSEN}, or run on"
+    if np.mean(_limited(trace)[late]) > 0.5:
+        return "the input is at its limit at the end: widen v_min and v_max, or begin from a [rough] model"
+    if np.any(units.noise):
+        if np.max(np.abs(trace.error[late])) <= _FLOOR * np.max(units.noise):
+            return "what is left is about as large as the errors that it was told of"
+    else:
+        misfit = _misfit(trace)
+        if misfit is not None and misfit > FITS:
+            return (
+                "if the sensors err, say by how much: noise = their standard deviation; if a constant disturbance "
+                "acts, give set_point"
+            )
+    if np.max(z[late]) < np.max(z):
+        return "not gone yet: run on, or lengthen the horizon where the sampling is fast"
     return f"it grew: {LESS_PEAK}"
 
 
@@ -87,18 +106,24 @@ def _of_peak(trace: Trace) -> Iterator[Finding]:
     yield Finding("Peak of the outputs", "suspect", f"{says}; {what}")
 
 
-def _of_bounds(trace: Trace) -> Iterator[Finding]:
-    """Say how often the input was at a bound: one that plans keep, or one at which the actuator changed the input."""
-    bounds, changed = trace.scheme.controller.bounds, np.any(trace.v != trace.v_computed, axis=1)
+def _limited(trace: Trace) -> np.ndarray:
+    """Mark steps whose input was at a bound that plans keep, or was changed by the actuator, shape (steps,)."""
+    bounds, found = trace.scheme.controller.bounds, np.any(trace.v != trace.v_computed, axis=1)
     if bounds is not None:
         width = np.asarray(bounds.high) - bounds.low
         near = (trace.v <= bounds.low + 1e-6 * width) | (trace.v >= bounds.high - 1e-6 * width)
-        changed = changed | np.any(near, axis=1)
-    if bounds is None and not np.any(changed):
+        found = found | np.any(near, axis=1)
+    return np.asarray(found)
+
+
+def _of_bounds(trace: Trace) -> Iterator[Finding]:
+    """Say how often the input was at a bound."""
+    bounds, limited = trace.scheme.controller.bounds, _limited(trace)
+    if bounds is None and not np.any(limited):
         return
     how = "at a bound of the actuator" if bounds is not None else "changed by the actuator"
-    share = f"{np.sum(changed)} of {len(trace)} steps"
-    last = f", last at k = {trace.k[changed][-1]}" if np.any(changed) else ""
+    share = f"{np.sum(limited)} of {len(trace)} steps"
+    last = f", last at k = {trace.k[limited][-1]}" if np.any(limited) else ""
     yield Finding("Input bounds", "outside", f"the input was {how} in {share}{last}")
 
 
@@ -118,7 +143,7 @@ def of_models(trace: Trace) -> Iterator[Finding]:
             "Assumption 7, a linear model of the run's signals exists",
             "met" if misfit <= FITS else "suspect",
             f"the best one leaves a share of {misfit:.2g} of them unexplained"
-            + ("" if misfit <= FITS else "; stack more, append basis functions, or look for noise"),
+            + ("" if misfit <= FITS else "; stack more, append basis functions, or look for noise and loads"),
         )
     gains = np.array([_gain(done) for done in trace.steps])
     at = int(np.argmax(gains))
@@ -127,12 +152,13 @@ def of_models(trace: Trace) -> Iterator[Finding]:
         "met" if gains[at] <= _GAIN else "suspect",
         f"inputs and states planned at k = {at} are up to {gains[at]:.3g} times the state there",
     )
-    moved = np.linalg.norm(np.diff(trace.theta, axis=0), axis=-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = np.linalg.norm(np.diff(trace.theta, axis=0), axis=-1)
     if len(moved):
         end = max(1, len(moved) // _END)
         yield Finding(
             "Theorem 2(i), the estimates converge",
-            "met" if moved[-end:].max() <= _GONE * max(moved.max(), 1e-300) else "suspect",
+            "met" if np.isfinite(moved).all() and moved[-end:].max() <= _GONE * max(moved.max(), 1e-300) else "suspect",
             f"largest move of theta {moved.max():.3g}, in the last {end} steps {moved[-end:].max():.3g}",
         )
     yield Finding(

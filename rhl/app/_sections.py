@@ -121,6 +121,10 @@ class EstimatorSection(Section):
         if self.window is not None:
             loss = self.convex_loss()
             memory = None if chosen is None else chosen.estimator
+            if self.weight is None and self.generator != "squares":
+                raise InputError(
+                    f'weight must be given where generator is "{self.generator}", got nothing; add the key'
+                )
             if self.weight is None and isinstance(memory, GrowingMemory):
                 return ProximalEstimator(self.window, loss, WeightedSquares(memory.weight), constraints)
             return ProximalEstimator(self.window, loss, self.convex_generator(), constraints)
@@ -219,7 +223,16 @@ class ControllerSection(Section):
             return Controller(*whole, bounds)
         names = ("Q", "R", "QN", "horizon", "alpha", "model_delay", "adaptive")
         changes = {name: self.given[name] for name in names if name in self.given}
-        if any(name.startswith("eps") for name in self.given):
+        known = chosen.epsilon
+        if "eps" not in self.given and isinstance(known, PowerDecay):
+            rate, power = (
+                self.given.get(name, default)
+                for name, default in zip(("eps_rate", "eps_power"), astuple(known), strict=True)
+            )
+            for name in ("eps_factor", "eps_value"):
+                self.heeded(name, False, "where eps is")
+            changes["epsilon"] = PowerDecay(rate, power)
+        elif any(name.startswith("eps") for name in self.given):
             changes["epsilon"] = self._epsilon()
         return replace(chosen, bounds=bounds, **changes)
 

@@ -9,6 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 # The rest is imported by the commands that need it, so that help and refusals do not wait for numpy.
@@ -338,7 +339,7 @@ def _new(options: argparse.Namespace) -> int:
     _check_targets(options)
     text = template(stem) if options.source is None else published(stem, options.source)
     deliver(options.output, text, options.force)
-    call = f"rhl run {options.output} --output {name}.csv --plot {name}.svg"
+    call = f"rhl run {quote(str(options.output))} --output {quote(f'{name}.csv')} --plot {quote(f'{name}.svg')}"
     print(printable(f"{options.output} runs as it is: {call}"))
     return OK
 

@@ -135,6 +135,9 @@ class Config(Section):
                 initial_model = self._reconciled(estimator_, initial_model, constraints)
             mixing, estimator = estimator_.mixed_by(chosen), estimator_.estimator(chosen, constraints)
         units = None if chosen is None or constraints is not None else chosen.units
+        if units is None:
+            for name in ("input_size", "noise"):
+                self.heeded(name, False, "where [knowledge] or basis functions leave the scheme without running units")
         if units is not None and own:
             # The model that the file gives says what inputs do, so that there is nothing to be cautious about.
             units = replace(units, model_in_sizes=False, caution=0.0)

@@ -150,7 +150,13 @@ class RandomPlants:
         if self.hidden >= min(self.n):
             raise InputError(f"hidden must be below the least n, {min(self.n)}, got {self.hidden}")
         name, (low, high) = ("radius", self.radius) if self.growth is None else ("growth", self.growth)
-        if not (low <= high and (name == "growth" or low > 0) and np.isfinite(low) and np.isfinite(high)):
+        if not (
+            low <= high
+            and (name == "growth" or low > 0)
+            and np.isfinite(low)
+            and np.isfinite(high)
+            and high - low < np.inf
+        ):
             at_least = "positive and " if name == "radius" else ""
             raise InputError(f"{name} must be two numbers, {at_least}not falling, got {describe([low, high])}")
         for time in self.sampling:

@@ -393,7 +393,18 @@ def test_an_order_chooses_the_scheme():
             "estimator.B0 must be given where A0 is, got nothing",
         ),
         ("[plant]", "[controller]\nbounded = true\n[plant]", "controller.bounded must be false where"),
-        ("[plant]", "[controller]\neps_power = 2\n[plant]", "controller.eps_power must be left out where eps is"),
+        ("[plant]", "[controller]\neps_factor = 0.5\n[plant]", "controller.eps_factor must be left out where eps is"),
+        (
+            "[plant]",
+            "[estimator]\nwindow = 5\ngenerator = 'entropy'\n[plant]",
+            "estimator.weight must be given where generator",
+        ),
+        (
+            "order = 2",
+            "order = 2\ninput_size = 2\n[lifting]\ndegree = 2",
+            "input_size must be left out where .knowledge. or",
+        ),
+        ("order = 2", "order = 2\nnoise = 2\n[lifting]\ndegree = 2", "noise must be left out where .knowledge. or"),
         (
             "order = 2",
             "order = 2\nset_point = [1, 2]",
@@ -416,7 +427,8 @@ CHANGES = [
         "controller",
         {"Q": 3, "QN": 4, "horizon": 12, "alpha": 2},
     ),
-    ("[controller]\neps_rate = 7", "controller", {"epsilon": PowerDecay(7)}),
+    ("[controller]\neps_rate = 7", "controller", {"epsilon": PowerDecay(7, 2)}),
+    ("[controller]\neps_power = 3", "controller", {"epsilon": PowerDecay(1, 3)}),
     ("[controller]\neps = 'exponential'\neps_factor = 0.5", "controller", {"epsilon": ExponentialDecay(0.5)}),
     ("[controller]\nmodel_delay = 1\nadaptive = true", "controller", {"model_delay": 1, "adaptive": True}),
 ]

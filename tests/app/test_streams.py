@@ -130,7 +130,7 @@ def test_a_folder_of_control_characters_is_shown_escaped(folder, capsys):
     Path("a\x1b[31m").mkdir()
     assert cli.main(["new", "a\x1b[31m/mine"]) == 0
     assert capsys.readouterr().out.startswith(
-        "a\\x1b[31m/mine.toml runs as it is: rhl run a\\x1b[31m/mine.toml --output"
+        "a\\x1b[31m/mine.toml runs as it is: rhl run 'a\\x1b[31m/mine.toml' --output"
     )
 
 
