@@ -31,7 +31,8 @@ def inputs_within(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, 
     -K x, clipped, is a plan too; the one that costs least is returned.
     """
     N, q = K.shape[:2]
-    clipped, length = _clipped(A, B, K, V, x, low, high, summed)
+    clipped = _clipped(A, B, K, x, low, high, summed)
+    length = float(np.sqrt(_cost(A, B, K, V, x, clipped)))
     if not np.isfinite(length):
         raise NotFiniteError("the plan must stay in the range of floating-point numbers, got infinity in it")
     if length == 0:
@@ -86,18 +87,14 @@ def _kept(v: Array, low: Array, high: Array, summed: bool) -> Array:
     return np.diff(v, axis=0, prepend=0.0) if summed else v
 
 
-def _clipped(
-    A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool
-) -> tuple[Array, float]:
-    """Return the feedback -K x clipped, which keeps the bounds, and how long its w is."""
-    squares, total, u = 0.0, np.zeros(len(low)), np.empty(K.shape[:2])
+def _clipped(A: Array, B: Array, K: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
+    """Return the feedback -K x, clipped, which keeps the bounds."""
+    total, u = np.zeros(len(low)), np.empty(K.shape[:2])
     with np.errstate(over="ignore", invalid="ignore"):
-        for i, (gain, root) in enumerate(zip(K, V, strict=True)):
-            wanted = -gain @ x
-            u[i] = np.clip(total + wanted, low, high) - total
-            squares += float(np.sum((root @ (u[i] - wanted)) ** 2))
+        for i, gain in enumerate(K):
+            u[i] = np.clip(total - gain @ x, low, high) - total
             x, total = A @ x + B @ u[i], total + u[i] if summed else total
-        return u, float(np.sqrt(squares))
+    return u
 
 
 def _interior(G: Array, below: Array, above: Array) -> Array | None:

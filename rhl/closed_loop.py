@@ -197,7 +197,7 @@ def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, 
         return model
     if k == 0:
         return units.initial(scheme.initial_model, scheme.lifting, size, scheme.q)
-    least = _CHANCE if isinstance(scheme.estimator, GrowingMemory) and k < _first_remembered(scheme) else 0.0
+    least = _CHANCE if isinstance(scheme.estimator, GrowingMemory) and k < scheme.first_measured else 0.0
     fresh = (cast(Array, before) <= least * size) & (size > 0)
     if not np.any(fresh):
         return model
@@ -216,17 +216,12 @@ def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | 
     return units.weights(used, lifting, found, q, unknown)
 
 
-def _first_remembered(scheme: Scheme) -> int:
-    """Return the first k whose transition is all measured."""
-    return max(scheme.lifting.outputs, scheme.lifting.inputs)
-
-
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
     """Return the memory of ``GrowingMemory`` at k; nothing is remembered while zeros from before k = 0 are lifted."""
     estimator = scheme.estimator
     assert isinstance(estimator, GrowingMemory)
     assert state.data is not None
-    if state.k < _first_remembered(scheme):
+    if state.k < scheme.first_measured:
         return state.data
     return estimator.remember(state.data, x, u)
 

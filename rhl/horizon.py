@@ -67,7 +67,8 @@ class Plan:
         feasible directions is from zero; in V3, how far x_N is from r; with bounds, how far the inputs are outside of
         them, relative to their width. Each other one is relative to the sum of the absolute values of the terms that
         cancel in it, so that about 1e-15 is the best there is; with an active bound it is about 1e-7, the root of what
-        is asked of the solver of quadratic programmes.
+        is asked of the solver of quadratic programmes. Where an unstable model grows along the horizon, the terms that
+        cancel are large, and a small residual says little.
         """
         problem = self.problem
         maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)

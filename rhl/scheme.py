@@ -247,6 +247,11 @@ class Scheme:
         increments = 0 if self.set_point is None else 1
         return self.estimator.window + 1 + increments + max(self.lifting.outputs, self.lifting.inputs)
 
+    @property
+    def first_measured(self) -> int:
+        """The first k at which the transition to x(k) has no zero from before k = 0 in it."""
+        return max(self.lifting.outputs, self.lifting.inputs)
+
     @cached_property
     def p(self) -> int:
         """Size of the output y."""

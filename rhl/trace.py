@@ -260,7 +260,7 @@ class Trace:
         if not isinstance(estimator, GrowingMemory):
             return (None,) * (len(self) + 1)
         x, u = self.lifted
-        data, first = estimator.begin(x.shape[-1], u.shape[-1]), self._first
+        data, first = estimator.begin(x.shape[-1], u.shape[-1]), self.scheme.first_measured
         found = [np.broadcast_to(data, (*x.shape[1:-1], *data.shape))]
         for k in range(len(self)):
             given = np.stack([x[k], self._before(k)], axis=-2), u[k][..., None, :]
@@ -273,11 +273,6 @@ class Trace:
         if self.set_point is None:
             return x
         return x + np.tile(self.set_point[k - 1] - self.set_point[k], self.scheme.lifting.outputs)
-
-    @property
-    def _first(self) -> int:
-        """The first k whose transition is all measured."""
-        return max(self.scheme.lifting.outputs, self.scheme.lifting.inputs)
 
     def _centre(self, k: int) -> SignalModel:
         if self._size is None:
@@ -303,9 +298,9 @@ class Trace:
         return np.stack(rows)
 
     def _decrement(self, estimator: GrowingMemory, k: int) -> Array:
-        if k < self._first:
+        if k < self.scheme.first_measured:
             return np.zeros(self.y.shape[1:-1])
-        (x, u), since = self.lifted, range(self._first, k + 1)
+        (x, u), since = self.lifted, range(self.scheme.first_measured, k + 1)
         after, before, inputs = (
             np.stack(rows, axis=-2) for rows in zip(*((x[j], self._before(j), u[j]) for j in since), strict=True)
         )

@@ -74,18 +74,15 @@ class SetPoint:
             raise
 
 
-def seen(
-    set_point: SetPoint | None, k: int, y_history: Array, v_history: Array, at: int | None = None
-) -> tuple[Array, Array]:
+def seen(set_point: SetPoint | None, k: int, y_history: Array, v_history: Array) -> tuple[Array, Array]:
     """Return what the scheme takes for outputs and inputs: the signals, or distances from r and increments.
 
     The histories are newest first, from y(k) and v(k-1) on; of v one row more is needed than increments are returned.
-    Outputs from before k = 0 count as at the set point, as zeros do without one. ``at`` is the step whose r counts, k
-    where omitted.
+    Outputs from before k = 0 count as at the set point, as zeros do without one.
     """
     if set_point is None:
         return y_history, v_history
     p, rows = y_history.shape[-1], y_history.shape[-2]
     measured = (np.arange(rows) <= k)[:, None]
-    e = np.where(measured, y_history - set_point.at(k if at is None else at, p), 0.0)
+    e = np.where(measured, y_history - set_point.at(k, p), 0.0)
     return e, v_history[..., :-1, :] - v_history[..., 1:, :]

@@ -102,7 +102,7 @@ def test_memory_does_not_grow():
 def misfit(trace, k):
     """How far the model of step k is from every transition of the run that is all measured, relative."""
     x, u = trace.lifted
-    first = trace._first
+    first = trace.scheme.first_measured
     predicted = trace.model(k).step(x[first - 1 : -1], u[first:])
     return np.abs(predicted - x[first:]).max() / np.abs(x).max()
 

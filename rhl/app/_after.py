@@ -180,8 +180,7 @@ def _gain(done: Step) -> float:
 
 def _misfit(trace: Trace) -> float | None:
     """Return the part of x(k+1) that no linear function of x(k), u(k) gives, relative; None where the run is short."""
-    lifting = trace.scheme.lifting
-    begin, (x, u) = max(lifting.outputs, lifting.inputs), trace.lifted
+    begin, (x, u) = trace.scheme.first_measured, trace.lifted
     if len(trace) <= begin + 1 or not np.all(np.isfinite(trace.y[-1])):
         return None
     known, next_ = np.concatenate([x[begin:-1], u[begin + 1 :]], axis=1), x[begin + 1 :]

@@ -50,11 +50,10 @@ class Plants:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How runs went: the largest output relative to y(0), whether they ended at rest, and the last outputs' size."""
+    """How runs went: the largest output relative to y(0), and whether they ended at rest."""
 
     peak: Array
     at_rest: np.ndarray
-    end: Array
 
 
 # What a scheme is made of, and what errs between it and the plants.
@@ -71,8 +70,8 @@ class Knob:
         In words; ``turn`` names the key of the file.
     start, turned : callable
         Plants to a scheme and the keywords of ``simulate``.
-    shows, mended : callable
-        From an outcome, which members show the symptom, and which no longer do.
+    shows : callable
+        From an outcome, which members show the symptom; those that no longer do are mended.
     longer : int
         How many times as many steps the second run takes.
     """
@@ -82,7 +81,6 @@ class Knob:
     start: Setting
     turned: Setting
     shows: Callable[[Outcome], np.ndarray]
-    mended: Callable[[Outcome], np.ndarray]
     longer: int = 1
 
 
@@ -108,7 +106,7 @@ def outcome(plants: Plants, setting: Setting, steps: int) -> Outcome:
     lost = trace.diverged_at >= 0
     limit = _REST + (_DEVIATIONS * _NOISE if "sensor" in errs else 0.0)
     end = np.where(lost, np.inf, np.max(size[-_LAST:], axis=0))
-    return Outcome(np.where(lost, np.inf, np.max(size, axis=0)), end < limit, end)
+    return Outcome(np.where(lost, np.inf, np.max(size, axis=0)), end < limit)
 
 
 def tried(knob: Knob, plants: Plants, steps: int = 200) -> Tried:
@@ -124,7 +122,7 @@ def tried(knob: Knob, plants: Plants, steps: int = 200) -> Tried:
     peaks = np.minimum(before.peak[shown], 1e12), np.minimum(after.peak, 1e12)
     ratio = float(np.exp(np.mean(np.log(peaks[1] / peaks[0]))))
     return Tried(
-        len(plants.z0), count, int(np.sum(knob.mended(after))), int(np.sum(after.peak < before.peak[shown])), ratio
+        len(plants.z0), count, int(np.sum(~knob.shows(after))), int(np.sum(after.peak < before.peak[shown])), ratio
     )
 
 
@@ -163,16 +161,8 @@ def _high(of: Outcome) -> np.ndarray:
     return of.peak > 100.0
 
 
-def _not_high(of: Outcome) -> np.ndarray:
-    return of.peak <= 100.0
-
-
 def _restless(of: Outcome) -> np.ndarray:
     return ~of.at_rest
-
-
-def _at_rest(of: Outcome) -> np.ndarray:
-    return of.at_rest
 
 
 def _window(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
@@ -185,20 +175,19 @@ def _longer(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
 
 
 KNOBS = (
-    Knob("sections without order: not at rest", "order in their place", _window, _plain, _restless, _at_rest),
-    Knob("sections without order: peak above 100", "order in their place", _window, _plain, _high, _not_high),
-    Knob("peak above 100", "a [rough] model, right to a tenth", _plain, rough(0.1), _high, _not_high),
-    Knob("peak above 100", "a [rough] model, wrong by half", _plain, rough(0.5), _high, _not_high),
-    Knob("peak above 100", "input_size = 0.01", _plain, lambda of: (_default(of, inputs=0.01), {}), _high, _not_high),
+    Knob("sections without order: not at rest", "order in their place", _window, _plain, _restless),
+    Knob("sections without order: peak above 100", "order in their place", _window, _plain, _high),
+    Knob("peak above 100", "a [rough] model, right to a tenth", _plain, rough(0.1), _high),
+    Knob("peak above 100", "a [rough] model, wrong by half", _plain, rough(0.5), _high),
+    Knob("peak above 100", "input_size = 0.01", _plain, lambda of: (_default(of, inputs=0.01), {}), _high),
     Knob(
         "peak above 100, order two above the index",
         "order = the index",
         lambda of: (_default(of, 2), {}),
         _plain,
         _high,
-        _not_high,
     ),
-    Knob("not at rest yet", "three times the steps", _plain, _plain, _restless, _at_rest, longer=3),
-    Knob("not at rest yet", "twice the horizon", _plain, _longer, _restless, _at_rest),
-    Knob("sensors err by 1 %: not at rest", "noise = 0.01", _noisy(False), _noisy(True), _restless, _at_rest),
+    Knob("not at rest yet", "three times the steps", _plain, _plain, _restless, longer=3),
+    Knob("not at rest yet", "twice the horizon", _plain, _longer, _restless),
+    Knob("sensors err by 1 %: not at rest", "noise = 0.01", _noisy(False), _noisy(True), _restless),
 )
