@@ -121,6 +121,7 @@ APP = [
             "config",
             "_streams",
             "_compare",
+            "_verify",
         )
     ),
     *CAMPAIGN_COMMAND,

@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from shlex import quote
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rhl.app.diagnosis import Diagnosis
-    from rhl.paper.claims.claim import Judgement
     from rhl.paper.published import Experiment
     from rhl.trace import Trace
 
@@ -361,8 +359,7 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from rich.table import Table
-
+    from rhl.app._verify import verified
     from rhl.paper.claims import ledger
     from rhl.paper.claims.claim import Effort
 
@@ -372,36 +369,7 @@ def _verify(options: argparse.Namespace) -> int:
         for claim in claims:
             print(f"{claim.id:28} {claim.statement}")
         return OK
-    done: list[Judgement] = []
-    with progress("checking", len(claims)) as show:
-
-        def tick(judgement: Judgement) -> None:
-            done.append(judgement)
-            show(len(done))
-
-        try:
-            ledger.run(claims, effort, tick)
-        except KeyboardInterrupt:
-            complain(f"interrupted after {len(done)} of {len(claims)} claims")
-    table = Table(title=f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases", title_justify="left")
-    table.add_column("claim", no_wrap=True)
-    table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
-    for heading in ("checked by", "cases", "worst", "tolerance", "verdict", "control"):
-        table.add_column(
-            heading, no_wrap=True, justify="right" if heading in ("cases", "worst", "tolerance") else "left"
-        )
-    for row in done:
-        found = row.evidence
-        numbers = (str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}") if found else ("", "", "")
-        control = {True: "fails, as it must", False: "PASSES", None: ""}[row.tripped]
-        verdict = row.verdict if row.verdict == row.claim.recorded else f"{row.verdict}, NOT {row.claim.recorded}"
-        table.add_row(row.claim.id, row.claim.statement, row.claim.method, *numbers, verdict, control)
-    words = words_of(options)
-    print_table(table, 220, words)
-    tally = ", ".join(f"{count} {verdict}" for verdict, count in Counter(row.verdict for row in done).items())
-    print(f"{tally}; {sum(row.seconds for row in done):.0f} s", file=words)
-    if options.output:
-        deliver(options.output, json.dumps(ledger.as_json(done, effort), indent=1) + "\n", options.force)
+    done = verified(options, claims, effort)
     if len(done) < len(claims):
         return INTERRUPTED
     return OK if all(row.as_recorded for row in done) else MISSED

@@ -406,14 +406,27 @@ def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
     file = tmp_path / "ledger.json"
     assert cli.main(["verify", "remark-4.chain", "--cases", "5", "--json", str(file)]) == 0
     written = json.loads(file.read_text(encoding="utf-8"))
-    assert written["version"] == 1
+    assert written["version"] == 2
     assert written["seed"] == 0
     (entry,) = written["claims"]
     assert entry["verdict"] == "holds-corrected"
+    assert entry["status"] == "holds once corrected"
     assert entry["control"]["tripped"] is True
     assert set(entry) == {
         *("id", "item", "label", "statement", "method", "cases", "worst", "tolerance", "verdict", "reason"),
-        *("control", "page", "test", "seconds"),
+        *(
+            "control",
+            "page",
+            "test",
+            "seconds",
+            "status",
+            "as_recorded",
+            "problem",
+            "instance",
+            "uses",
+            "proof",
+            "formal",
+        ),
     }
     assert "remark-4.chain" in capsys.readouterr().out
 
@@ -427,7 +440,43 @@ def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
     assert cli.main(["verify", "--cases", "5"]) == 0  # without the correction it is refuted, as recorded
     monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
     assert cli.main(["verify", "--cases", "5"]) == cli.MISSED
-    assert "holds, NOT refuted" in capsys.readouterr().out
+    assert "holds on all cases tried, NOT refuted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("target", "mutation", "problem"),
+    [
+        ("rhl.lifting.DelayLifting.augment", lambda *_: 1 / 0, "the check raised ZeroDivisionError: division by zero"),
+        ("rhl.paper.claims.lemma_6.worst_of", lambda found: float("nan"), "the check found nan"),
+        ("rhl.paper.claims.lemma_6.worst_of", lambda found: float("-inf"), "the check found -inf"),
+        ("rhl.paper.claims.claim.Effort.rng", lambda *_: None, "the check raised AttributeError"),
+    ],
+)
+def test_verify_reports_a_check_that_decides_nothing(tmp_path, monkeypatch, capsys, target, mutation, problem):
+    """Neither a traceback that ends the run nor a verdict: a row, a sentence, an entry, a place in the tally."""
+    file = tmp_path / "ledger.json"
+    monkeypatch.setattr(target, mutation)
+    assert cli.main(["verify", "remark-4.stabilizable", "eq-1", "--fast", "--json", str(file)]) == cli.MISSED
+    printed = capsys.readouterr().out
+    assert "no evidence, NOT holds" in printed
+    assert f"remark-4.stabilizable: {problem}" in printed
+    assert "1 no evidence, 1 cannot be checked" in printed
+    assert "eq-1 cannot be checked: A definition." in printed
+    text = file.read_text(encoding="utf-8")
+    first = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))["claims"][0]
+    assert (first["verdict"], first["status"], first["worst"]) == ("no-evidence", "no evidence", None)
+    assert first["problem"].startswith(problem)
+    assert first["as_recorded"] is False
+
+
+def test_verify_reports_a_check_without_cases(monkeypatch, capsys):
+    from rhl.paper.claims import ledger
+    from rhl.paper.claims.claim import Evidence
+
+    (honest,) = ledger.select(["eq-22"])
+    monkeypatch.setattr(ledger, "CLAIMS", (replace(honest, stated=lambda effort: Evidence(0, 0.0)),))
+    assert cli.main(["verify", "--fast"]) == cli.MISSED
+    assert "eq-22: the check had no cases" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -203,6 +203,14 @@ class Judgement:
         )
 
     @property
+    def told_true_from_false(self) -> str:
+        """What control and instance did, in words; empty where there is neither."""
+        control = {True: "fails, as it must", False: "PASSES", None: "gives no evidence"}[self.tripped]
+        instance = {True: "holds, as it must", False: "FAILS", None: "gives no evidence"}[self.told_apart]
+        words = [control] if self.claim.control else []
+        return "; ".join(words + ([f"instance {instance}"] if self.claim.instance else []))
+
+    @property
     def status(self) -> Status:
         """What the verdict means, in words."""
         match self.verdict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ from rhl.paper.claims import (
 )
 from rhl.paper.claims.claim import Claim, Effort, Judgement, judge
 
-VERSION = 1
+VERSION = 2
 
 # In reading order.
 CLAIMS: tuple[Claim, ...] = tuple(
@@ -77,6 +78,8 @@ def as_json(judgements: Iterable[Judgement], effort: Effort) -> dict[str, Any]:
 
 def _entry(judgement: Judgement) -> dict[str, Any]:
     claim, evidence = judgement.claim, judgement.evidence
+    # JSON knows neither NaN nor infinity.
+    worst = evidence.worst if evidence and math.isfinite(evidence.worst) else None
     return {
         "id": claim.id,
         "item": claim.item,
@@ -84,11 +87,18 @@ def _entry(judgement: Judgement) -> dict[str, Any]:
         "statement": claim.statement,
         "method": claim.method,
         "cases": evidence.cases if evidence else 0,
-        "worst": evidence.worst if evidence else None,
+        "worst": worst,
         "tolerance": evidence.tolerance if evidence else None,
         "verdict": judgement.verdict,
+        "status": judgement.status,
+        "as_recorded": judgement.as_recorded,
+        "problem": judgement.problem,
         "reason": claim.reason,
         "control": {"what": claim.control.what, "tripped": judgement.tripped} if claim.control else None,
+        "instance": {"what": claim.instance.what, "holds": judgement.told_apart} if claim.instance else None,
+        "uses": list(claim.uses),
+        "proof": claim.proof,
+        "formal": claim.formal,
         "page": claim.page,
         "test": claim.test,
         "seconds": round(judgement.seconds, 3),

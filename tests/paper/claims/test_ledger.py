@@ -1,5 +1,7 @@
 """The ledger leaves nothing out: every numbered item has a claim, every claim a page, code and a test."""
 
+import json
+import math
 import re
 from collections import Counter
 from dataclasses import replace
@@ -10,7 +12,7 @@ import yaml
 
 from rhl.errors import InputError
 from rhl.paper.claims import ledger
-from rhl.paper.claims.claim import Claim, Effort, Judgement
+from rhl.paper.claims.claim import Claim, Effort, Evidence, Judgement, judge
 from rhl.paper.pages import ledger_table
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -81,12 +83,21 @@ def test_the_search_is_found_by_either_name():
 def test_json_names_everything():
     judgements = ledger.run(ledger.select(["eq-1", "eq-22"]), Effort(3, 5))
     written = ledger.as_json(judgements, Effort(3, 5))
-    assert (written["version"], written["seed"]) == (1, 3)
+    assert (written["version"], written["seed"]) == (2, 3)
     first, second = written["claims"]
     assert first["verdict"] == "not-checkable"
     assert first["control"] is None
     assert second["control"]["tripped"] is True
     assert second["tolerance"] == 0.0
+
+
+@pytest.mark.parametrize("worst", [math.nan, math.inf, -math.inf])
+def test_what_json_does_not_know_is_null(worst):
+    claim = next(claim for claim in ledger.CLAIMS if claim.control)
+    found = judge(replace(claim, stated=lambda effort: Evidence(1, worst)), Effort())
+    (entry,) = json.loads(json.dumps(ledger.as_json([found], Effort()), allow_nan=False))["claims"]
+    assert entry["worst"] is None
+    assert entry["status"] == ("no evidence" if worst != math.inf else "fails: counterexample")
 
 
 def test_rows_link_to_code_of_this_library():

@@ -1,0 +1,63 @@
+"""The command `rhl verify`: the claims of the paper checked, as a table and as JSON."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from rhl.app._streams import complain, deliver, print_table, progress, words_of
+from rhl.paper.claims import ledger
+from rhl.paper.claims.claim import Claim, Effort, Judgement
+
+
+def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effort) -> list[Judgement]:
+    """Judge claims, print what came out, and write it where asked.
+
+    If it is interrupted, what is done by then is printed and written all the same.
+    """
+    done: list[Judgement] = []
+    with progress("checking", len(claims)) as show:
+
+        def tick(judgement: Judgement) -> None:
+            done.append(judgement)
+            show(len(done))
+
+        try:
+            ledger.run(claims, effort, tick)
+        except KeyboardInterrupt:
+            complain(f"interrupted after {len(done)} of {len(claims)} claims")
+    words = words_of(options)
+    print_table(_table(done, f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases"), 230, words)
+    # What would not fit into a cell: why there is no evidence, and why none can be had.
+    for row in done:
+        if row.problem:
+            print(f"{row.claim.id}: {row.problem}", file=words)
+    for row in done:
+        if row.verdict == "not-checkable":
+            print(f"{row.claim.id} {row.status}: {row.claim.reason}", file=words)
+    tally = ", ".join(f"{count} {status}" for status, count in Counter(row.status for row in done).most_common())
+    print(f"{tally}; {sum(row.seconds for row in done):.0f} s", file=words)
+    if options.output:
+        text = json.dumps(ledger.as_json(done, effort), indent=1, allow_nan=False) + "\n"
+        deliver(options.output, text, options.force)
+    return done
+
+
+def _table(done: list[Judgement], title: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("claim", no_wrap=True)
+    table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
+    for heading in ("checked by", "cases", "worst", "tolerance", "status", "control"):
+        table.add_column(
+            heading, no_wrap=True, justify="right" if heading in ("cases", "worst", "tolerance") else "left"
+        )
+    for row in done:
+        found, claim = row.evidence, row.claim
+        numbers = (str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}") if found else ("", "", "")
+        status = row.status if row.verdict == claim.recorded else f"{row.status}, NOT {claim.recorded}"
+        table.add_row(claim.id, claim.statement, claim.method, *numbers, status, row.told_true_from_false)
+    return table
