@@ -78,6 +78,17 @@ def independent_solution(maps: PredictorMaps, Q: Array, R: Array, x: Array, r: A
     return np.stack([w[i * (n + q) : i * (n + q) + q] for i in range(N)]), gain
 
 
+def partly_steered(rng: np.random.Generator, maps: PredictorMaps, least: int = 0) -> tuple[PredictorMaps, Array]:
+    """Return maps whose terminal state no inputs move along some directions, and what projects onto the others.
+
+    ``maps``: with [B_0, ..., B_{N-1}] of rank n. ``least``: how many directions at least are left to the inputs.
+    """
+    n = maps.n
+    basis = np.linalg.qr(rng.normal(size=(n, n)))[0][:, : int(rng.integers(least, n + 1))]
+    onto = np.asarray(basis @ basis.T)
+    return PredictorMaps(maps.A, onto @ maps.B), onto
+
+
 def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
     n, q = (int(size) for size in rng.integers(1, 4, 2))
     maps = random_maps(rng, n, q, int(rng.integers(n, 7)))
@@ -85,16 +96,19 @@ def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
 
 
 def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
-    """Superpose solutions of V3 and compare with an independent solver.
+    """Superpose solutions of V3 and compare with an independent solver, also where some r are out of reach.
 
     ``bend``: add that much of |x| to r, so that the right side is no longer linear in (x, r).
     """
     rng, gaps = effort.rng("lemma-1.a"), []
     for _ in range(effort.cases):
         maps, Q, R = _draw(rng)
+        maps, onto = partly_steered(rng, maps)
         x, r = rng.normal(size=(2, 3, maps.n))
         x[2], r[2] = x[0] + 2 * x[1], r[0] + 2 * r[1]
-        r = r + bend * np.linalg.norm(x, axis=1, keepdims=True)
+        r = (r + bend * np.linalg.norm(x, axis=1, keepdims=True)) @ onto
+        # What the inputs do not move is where the maps take x.
+        r += x @ ((np.eye(maps.n) - onto) @ maps.A[-1]).T
         u = np.stack([solve(V3(maps, Q, R, r[i], maps.horizon), x[i]).u for i in range(3)])
         scale = 1 + np.max(np.abs(u))
         other, _ = independent_solution(maps, Q, R, x[0], r[0])
@@ -116,16 +130,22 @@ def polarise(value: Callable[[Array], float], size: int) -> Array:
 def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
     """Recover S_3, S_4, S_5 of V_3 = x'S_3x + x'S_4r + r'S_5r by probing, and predict values elsewhere.
 
+    Where inputs do not move all of the terminal state, r takes what they do move, and the rest follows from x.
+
     ``cubic``: add that much of |x|^3 to the values, which no quadratic form can follow.
     """
     rng, gaps = effort.rng("lemma-1.a.value"), []
     for _ in range(max(1, effort.cases // 4)):
         maps, Q, R = _draw(rng)
-        n = maps.n
+        maps, onto = partly_steered(rng, maps)
+        n, reached = maps.n, np.hstack([(np.eye(maps.n) - onto) @ maps.A[-1], onto])
 
-        def value(point: Array, maps: PredictorMaps = maps, Q: Array = Q, R: Array = R, n: int = n) -> float:
-            plan = solve(V3(maps, Q, R, point[n:], maps.horizon), point[:n])
-            return float(plan.value) + cubic * float(np.linalg.norm(point[:n]) ** 3)
+        def value(
+            point: Array, maps: PredictorMaps = maps, Q: Array = Q, R: Array = R, reached: Array = reached
+        ) -> float:
+            x = point[: maps.n]
+            plan = solve(V3(maps, Q, R, reached @ point, maps.horizon), x)
+            return float(plan.value) + cubic * float(np.linalg.norm(x) ** 3)
 
         S = polarise(value, 2 * n)
         for point in rng.normal(size=(3, 2 * n)):
@@ -184,25 +204,35 @@ def check_v2(effort: Effort, sample: bool = False) -> Evidence:
     """
     rng, gaps = effort.rng("lemma-1.b"), []
     for _ in range(effort.cases):
-        n = int(rng.integers(2, 4))
-        # A rank-one B_i leaves directions that cannot be steered, so that V2 is positive.
-        maps = random_maps(rng, n, 1, n)
-        maps = PredictorMaps(maps.A, maps.B * np.eye(n)[0][:, None])
+        n, q = int(rng.integers(2, 4)), int(rng.integers(1, 3))
+        # One horizon longer than needed, so that there is always another minimiser.
+        maps, onto = partly_steered(rng, random_maps(rng, n, q, n + 1), 1)
+        QN, N = random_weight(rng, n), n + 1
         x = rng.normal(size=(3, n))
         x[2] = x[0] + 2 * x[1]
-        u = np.stack([solve(V2(maps, 1.0, n), each).u for each in x])
+        plans = [solve(V2(maps, QN, N), each) for each in x]
+        u = np.stack([plan.u for plan in plans])
+        # The end is a minimiser if the slope there is zero along all that inputs move.
+        scale = 1 + np.max(np.abs(u))
+        gaps.append(max(float(np.max(np.abs(onto @ QN @ plan.x[-1]))) for plan in plans) / scale)
+        gaps.append(float(np.max(np.abs(u[0] - _shortest(maps, plans[0].x[-1], x[0])))) / scale)
         if sample:
-            push = np.linalg.svd(np.concatenate(list(maps.B[::-1]), axis=1))[2][-1]
-            u = u + np.abs(rng.normal(size=3))[:, None, None] * push[:, None]
-        gaps.append(float(np.max(np.abs(u[2] - u[0] - 2 * u[1])) / (1 + np.max(np.abs(u)))))
+            push = np.linalg.svd(np.concatenate(list(maps.B[::-1]), axis=1))[2][-1].reshape(N, q)
+            u = u + np.abs(rng.normal(size=3))[:, None, None] * push
+        gaps.append(float(np.max(np.abs(u[2] - u[0] - 2 * u[1])) / scale))
 
-        def value(point: Array, maps: PredictorMaps = maps, n: int = n) -> float:
-            return float(solve(V2(maps, 1.0, n), point).value)
+        def value(point: Array, maps: PredictorMaps = maps, QN: Array = QN, N: int = N) -> float:
+            return float(solve(V2(maps, QN, N), point).value)
 
         S = polarise(value, n)
         gaps.append(-float(np.min(np.linalg.eigvalsh(S))))
-        gaps.append(abs(float(x[0] @ S @ x[0] - solve(V2(maps, 1.0, n), x[0]).value)))
+        gaps.append(abs(float(x[0] @ S @ x[0] - plans[0].value)))
     return Evidence(len(gaps), worst_of(gaps), _ROUNDING, "rounding through a well conditioned terminal map")
+
+
+def _shortest(maps: PredictorMaps, end: Array, x: Array) -> Array:
+    """Return the inputs, shape (N, q), of the plan from x to end with the least sum of |xi_i|^2 + |nu_i|^2."""
+    return independent_solution(maps, np.eye(maps.n), np.eye(maps.q), x, end)[0]
 
 
 def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
@@ -295,7 +325,10 @@ def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence
             problem = V3(maps, Q, R, rng.normal(size=maps.n), N)
         u = solve(problem, x).u
         u = u + nudge * rng.normal(size=u.shape)
-        worst.append(float(Plan(problem, u, maps.predict(x, u)).residual()))
+        end = maps.predict(x, u)
+        worst.append(float(Plan(problem, u, end).residual()))
+        if isinstance(problem, V3):
+            worst.append(float(np.max(np.abs(end[-1] - problem.r)) / (1 + np.max(np.abs(end)))))
     return Evidence(len(worst), worst_of(worst), 1e-12, "rounding, relative to the terms that cancel")
 
 

@@ -1,7 +1,7 @@
 """Equations (25)-(38), each as a function: by how much it is violated along closed loops, relative to V3.
 
-Each takes the terms of a loop and the constants of the bounds, with Q = I and R = I, and returns violations of any
-shape; a switch breaks it, or takes it as printed.
+Each takes the terms of a loop and the constants of the bounds, and returns violations of any shape; a switch breaks it,
+or takes it as printed.
 """
 
 from __future__ import annotations
@@ -9,29 +9,41 @@ from __future__ import annotations
 import numpy as np
 
 from rhl._checks import Array
-from rhl.horizon import solve
+from rhl.horizon import Plan, solve
 from rhl.model import SignalModel
 from rhl.paper.claims.lyapunov_terms import Bounds, Terms, apply, size, square, written_out
-from rhl.problems import V3
 
 # A coefficient whose limit is zero must have come down to this share of its largest value; its decay is geometric.
 _VANISHED = 1e-3
 
 
 def below_state(t: Terms, b: Bounds, share: float = 1.0) -> Array:
-    """V3(x, p) >= lambda_min(Q) x'x, the first sentence of the proof; Q = I."""
-    return np.asarray((share * square(t.x) - t.plan.value) / t.scale)
+    """V3(x, p) >= lambda_min(Q) x'x, the first sentence of the proof. ``share``: of that constant."""
+    least = np.linalg.eigvalsh(t.setting.weights[0])[..., 0]
+    return np.asarray((share * least * square(t.x) - t.plan.value) / t.scale)
 
 
 def split(t: Terms, b: Bounds, stale: bool = False) -> Array:
-    """(25): the increment in two parts. ``stale``: the second of its middle terms is taken with the maps of time k."""
-    middle = t.shifted.value
+    """(25): each of its values is that of V3 at the time, from the state and to the end that it names.
+
+    That the two parts add up needs no check. The values are compared with the forms of ``Setting.forms``, which share
+    no line with the solver, and each plan has to end where it is asked to.
+    ``stale``: the second of the middle terms is taken with the maps of time k.
+    """
+    models, forms, N = t.setting.models, t.setting.forms, t.setting.horizon
+    middle, r_new = t.shifted.value, t.xi_tilde[..., -1, :]
     if stale:
-        models = t.setting.models
         here = SignalModel(models.A[..., :-1, :, :], models.B[..., :-1, :, :])
-        middle = solve(V3(here, 1.0, 1.0, t.xi_tilde[..., -1, :], t.setting.horizon), t.x_next).value
-    gap = (t.after.value - t.shifted.value) + (middle - t.plan.value) - (t.after.value - t.plan.value)
-    return np.maximum(np.abs(gap) / t.scale, t.shifted.residual())
+        end = here.predictor(N).predict(t.x_next, t.tail)[..., -1, :]
+        middle = solve(t.setting.problem(here, end), t.x_next).value
+    gaps = [
+        t.after.value - _value(forms[..., 1:, :, :], t.x_next, t.r_next),
+        middle - _value(forms[..., 1:, :, :], t.x_next, r_new),
+        t.plan.value - _value(forms[..., :-1, :, :], t.x, t.r),
+    ]
+    ends = [(t.after, t.r_next), (t.shifted, r_new), (t.plan, t.r)]
+    missed = [_relative(plan.x[..., -1, :] - end, t.scale) for plan, end in ends]
+    return np.max([np.abs(gap) / t.scale for gap in gaps] + missed, axis=0)
 
 
 def shifted_end(t: Terms, b: Bounds, last: float = 0.0) -> Array:
@@ -70,27 +82,27 @@ def bounded_w(t: Terms, b: Bounds) -> Array:
 def shifted_cost(t: Terms, b: Bounds, with_w: bool = True) -> Array:
     """(31): the cost of the shifted plan, in terms of the old plan and of w."""
     w = (1.0 if with_w else 0.0) * written_out(t, t.e1)[..., :-1, :]
-    inputs = np.sum(square(t.tail), axis=-1)
-    cost = np.sum(square(t.xi_tilde[..., :-1, :]), axis=-1) + inputs
-    again = np.sum(square(t.plan.x[..., 1:, :] + w), axis=-1) + inputs
+    inputs = np.sum(t.priced(t.tail, inputs=True), axis=-1)
+    cost = Plan(t.shifted.problem, t.tail, t.xi_tilde).value
+    again = np.sum(t.priced(t.plan.x[..., 1:, :] + w), axis=-1) + inputs
     return np.asarray(np.abs(cost - again) / t.scale)
 
 
 def first_bound(t: Terms, b: Bounds, cross: bool = True) -> Array:
     """(32): by optimality the shifted problem costs no more than the shifted plan."""
     w = t.w[..., :-1, :]
-    right = -square(t.x) - square(t.plan.u[..., 0, :]) + square(t.r + w[..., -1, :])
-    right = right + np.sum(square(w[..., :-1, :]), axis=-1)
+    right = -_first_stage(t) + t.priced(t.r + w[..., -1, :])
+    right = right + np.sum(t.priced(w[..., :-1, :]), axis=-1)
     if cross:
-        right = right + 2 * np.sum(t.plan.x[..., 1:-1, :] * w[..., :-1, :], axis=(-1, -2))
+        right = right + 2 * np.sum(t.priced(t.plan.x[..., 1:-1, :], w[..., :-1, :]), axis=-1)
     return np.asarray((t.shifted.value - t.plan.value - right) / t.scale)
 
 
 def first_step(t: Terms, b: Bounds, counted: bool = True) -> Array:
     """(33), and that beta_1, beta_2, beta_3 go to zero. ``counted``: r'Qr is part of beta_3."""
     x2, r2 = square(t.x), square(t.r)
-    right = -x2 - square(t.plan.u[..., 0, :]) + (b.beta[..., 0] + b.beta4) * x2
-    right = right + (b.beta[..., 1] + b.beta4) * r2 + b.beta[..., 2] - (0 if counted else 2) * r2
+    right = -_first_stage(t) + (b.beta[..., 0] + b.beta4) * x2
+    right = right + (b.beta[..., 1] + b.beta4) * r2 + b.beta[..., 2] - (0 if counted else 2) * b.top * r2
     return np.maximum((t.shifted.value - t.plan.value - right) / t.scale, _still_there(b.beta))
 
 
@@ -137,7 +149,7 @@ def second_step(t: Terms, b: Bounds, constant: bool = True) -> Array:
 def decrease(t: Terms, b: Bounds, constant: bool = True) -> Array:
     """(38). ``constant``: with gamma_3."""
     x2, r2 = square(t.x), square(t.r)
-    right = -(x2 + square(t.plan.u[..., 0, :])) / 2 + (b.beta[..., 0] + b.beta4 + b.gamma[..., 0]) * x2
+    right = -b.mu / 2 * (x2 + square(t.plan.u[..., 0, :])) + (b.beta[..., 0] + b.beta4 + b.gamma[..., 0]) * x2
     right = right + (b.beta[..., 1] + b.beta4 + b.gamma[..., 1]) * r2 + b.beta[..., 2]
     right = right + (b.gamma[..., 2] if constant else 0)
     return np.asarray((t.after.value - t.plan.value - right) / t.scale)
@@ -160,7 +172,7 @@ def contracts_up_to_delta(t: Terms, b: Bounds, with_delta: bool = True, falling:
 
 def contraction(t: Terms, b: Bounds) -> tuple[Array, Array]:
     """Return kappa(k) and delta(k) of the last step of the proof, shapes (..., T)."""
-    kappa = 0.5 - b.beta4 - b.beta[..., 0] - b.gamma[..., 0]
+    kappa = b.mu / 2 - b.beta4 - b.beta[..., 0] - b.gamma[..., 0]
     delta = (np.abs(kappa) + b.beta[..., 1] + b.beta4 + b.gamma[..., 1]) * square(t.r)
     return np.asarray(kappa), np.asarray(delta + b.beta[..., 2] + b.gamma[..., 2])
 
@@ -185,6 +197,16 @@ def gamma(t: Terms, rho_bar: Array) -> Array:
     S4, S5 = 2 * t.S[..., :n, n:], t.S[..., n:, n:]
     ends = _form(t.r_next, S5, t.r_next) - _form(r_new, S5, r_new)
     return np.asarray(ends + square(apply(S4, t.r_next - r_new)) / (2 * rho_bar))
+
+
+def _first_stage(t: Terms) -> Array:
+    """Return x'Qx + nu_0'R nu_0."""
+    return t.priced(t.x) + t.priced(t.plan.u[..., 0, :], inputs=True)
+
+
+def _value(S: Array, x: Array, r: Array) -> Array:
+    both = np.concatenate([x, r], axis=-1)
+    return _form(both, S, both)
 
 
 def _change(t: Terms, share: float) -> Array:

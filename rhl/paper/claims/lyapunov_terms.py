@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,14 +13,17 @@ from rhl.horizon import Plan, solve
 from rhl.model import PredictorMaps, SignalModel
 from rhl.problems import V3
 
+# Singular values of [B_0 ... B_{N-1}] below this share of the largest are rounding.
+_UNREACHED = 1e-10
+
 # Models below this margin are redrawn: their gains would magnify rounding, not test the proof.
 _LEAST_MARGIN = 0.2
 
 # Keeps what is exactly zero from being divided by zero.
 _TINY = 1e-200
 
-SIZES = ((1, 1, 1), (1, 2, 2), (2, 1, 3), (2, 2, 2), (3, 2, 4))
-"""The n, q, N that are drawn; N >= n as Assumption 3 asks."""
+SIZES = ((1, 1, 1, 0), (1, 2, 2, 0), (2, 1, 3, 0), (2, 2, 2, 0), (3, 2, 4, 0), (2, 1, 2, 1), (3, 1, 3, 1))
+"""The n, q, N that are drawn, N >= n as Assumption 3 asks, and how many states no input reaches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,8 @@ class Setting:
     maps.
     ``r`` (..., T+1, n): terminal states asked for.
     ``x0`` (..., n): initial state.
-    ``omegas`` (..., T, 3): the sequences omega_1, omega_2, omega_3 that bound e_1(k) in (8).
     ``horizon``: N.
+    ``Q`` (..., n, n), ``R`` (..., q, q): weights of V3 with the axes of ``x0``; None for the identity.
     """
 
     plant: SignalModel
@@ -42,17 +45,58 @@ class Setting:
     x0: Array
     omegas: Array
     horizon: int
+    Q: Array | None = None
+    R: Array | None = None
+
+    @property
+    def weights(self) -> tuple[Array, Array]:
+        """Q and R with an axis for the steps, shapes (..., 1, n, n) and (..., 1, q, q)."""
+        Q = np.eye(self.plant.n) if self.Q is None else self.Q
+        R = np.eye(self.plant.q) if self.R is None else self.R
+        return Q[..., None, :, :], R[..., None, :, :]
 
     @cached_property
     def gains(self) -> tuple[Array, Array]:
-        """The gains of Lemma 1(a), [K_1 K_2] and [K_3 K_4], by probing V3 with unit vectors in place of x and r.
+        """The gains of Lemma 1(a), [K_1 K_2] and [K_3 K_4], shapes (..., T+1, N+1, n, 2n) and (..., T+1, N, q, 2n).
 
-        Shapes (..., T+1, N+1, n, 2n) and (..., T+1, N, q, 2n).
+        In closed form, without the library's recursion: of the inputs that end in r, the shortest, and from there along
+        the directions that leave the end where it is. Where (x, r) is not feasible they end as near to r as can be.
         """
-        n, axes = self.plant.n, self.r.ndim - 1
-        unit = np.eye(2 * n).reshape(2 * n, *[1] * axes, 2 * n)
-        plan = solve(V3(self.models, 1.0, 1.0, unit[..., n:], self.horizon), unit[..., :n])
-        return np.moveaxis(plan.x, 0, -1), np.moveaxis(plan.u, 0, -1)
+        n, q, N = self.plant.n, self.plant.q, self.horizon
+        maps = self.models.predictor(N)
+        Q, R = self.weights
+        effect = np.zeros((*maps.A.shape[:-3], N + 1, n, N, q))
+        for i in range(1, N + 1):
+            for l in range(i):
+                effect[..., i, :, l, :] = maps.B[..., i - 1 - l, :, :]
+        effect = effect.reshape(*effect.shape[:-2], N * q)
+        free = np.concatenate([maps.A, np.zeros_like(maps.A)], axis=-1)
+        wanted = np.concatenate(
+            [-maps.A[..., N, :, :], np.broadcast_to(np.eye(n), maps.A[..., N, :, :].shape)], axis=-1
+        )
+        back = np.linalg.pinv(effect[..., N, :, :], rcond=_UNREACHED)
+        shortest = back @ wanted
+        stay = np.eye(N * q) - back @ effect[..., N, :, :]
+        inputs = np.kron(np.eye(N), np.ones((q, q))) * np.tile(R, (N, N))
+        H = inputs + np.einsum("...iab,...ac,...icd->...bd", effect[..., :N, :, :], Q, effect[..., :N, :, :])
+        slope = H @ shortest + np.einsum("...iab,...ac,...icd->...bd", effect[..., :N, :, :], Q, free[..., :N, :, :])
+        # Along the other directions any positive number will do: it keeps the matrix regular, and is projected away.
+        along = np.linalg.solve(stay @ H @ stay + np.eye(N * q) - stay, stay)
+        u = shortest - stay @ along @ slope
+        x = free + effect @ u[..., None, :, :]
+        return x, u.reshape(*u.shape[:-2], N, q, 2 * n)
+
+    @cached_property
+    def forms(self) -> Array:
+        """The value matrices, V3(x, r) = [x; r]' S [x; r], so S = [S_3, S_4/2; S_4'/2, S_5], (..., T+1, 2n, 2n)."""
+        (K, L), (Q, R) = self.gains, self.weights
+        stages = np.einsum("...iab,...ac,...icd->...bd", K[..., :-1, :, :], Q, K[..., :-1, :, :])
+        return np.asarray(stages + np.einsum("...iab,...ac,...icd->...bd", L, R, L))
+
+    def problem(self, models: SignalModel, r: Array) -> V3:
+        """V3 at some steps: models and r with an axis for these."""
+        Q, R = self.weights
+        return V3(models, Q, R, r, self.horizon)
 
     @cached_property
     def states(self) -> Array:
@@ -72,7 +116,6 @@ class Terms:
 
     ``now``, ``then``: the maps at k and at k+1, shapes (..., T, N+1, n, n), (..., T, N, n, q).
     ``plan``, ``after``, ``shifted``: V3's solutions from x(k) to r(k); from x(k+1) to r(k+1); from x(k+1) to r~+.
-    Weights Q = I, R = I.
     ``e1`` (..., T, n): the one-step error of (8).
     ``tail`` (..., T, N, q): the old plan without its first input: nu_1 ... nu_{N-1}, 0.
     ``xi_tilde`` (..., T, N+1, n): the new prediction under it; the last one is r~+ of (26).
@@ -110,12 +153,16 @@ class Terms:
         """r(k+1), shape (..., T, n)."""
         return self.setting.r[..., 1:, :]
 
-    @cached_property
+    @property
     def S(self) -> Array:
-        """The value matrix at k+1, V3(x, r) = [x; r]' S [x; r], so S = [S_3, S_4/2; S_4'/2, S_5], (..., T, 2n, 2n)."""
-        K, L = (gain[..., 1:, :, :, :] for gain in self.setting.gains)
-        K = K[..., :-1, :, :]
-        return np.asarray(np.einsum("...iab,...iac->...bc", K, K) + np.einsum("...iab,...iac->...bc", L, L))
+        """The value matrix at k+1, shape (..., T, 2n, 2n)."""
+        return self.setting.forms[..., 1:, :, :]
+
+    def priced(self, v: Array, other: Array | None = None, *, inputs: bool = False) -> Array:
+        """Return v'Qw, or v'Rw for ``inputs``; w is v where not given; v of shape (..., T, n) or (..., T, i, n)."""
+        M = self.setting.weights[inputs]
+        M = M if v.ndim == self.r.ndim else M[..., None, :, :]
+        return np.asarray(np.einsum("...a,...ab,...b->...", v, M, v if other is None else other))
 
     @cached_property
     def scale(self) -> Array:
@@ -130,11 +177,11 @@ def follow(setting: Setting) -> Terms:
     here = SignalModel(models.A[..., :-1, :, :], models.B[..., :-1, :, :])
     there = SignalModel(models.A[..., 1:, :, :], models.B[..., 1:, :, :])
     now, then = here.predictor(N), there.predictor(N)
-    plan = solve(V3(here, 1.0, 1.0, setting.r[..., :-1, :], N), x[..., :-1, :])
-    after = solve(V3(there, 1.0, 1.0, setting.r[..., 1:, :], N), x[..., 1:, :])
+    plan = solve(setting.problem(here, setting.r[..., :-1, :]), x[..., :-1, :])
+    after = solve(setting.problem(there, setting.r[..., 1:, :]), x[..., 1:, :])
     tail = np.concatenate([plan.u[..., 1:, :], np.zeros_like(plan.u[..., :1, :])], axis=-2)
     xi_tilde = then.predict(x[..., 1:, :], tail)
-    shifted = solve(V3(there, 1.0, 1.0, xi_tilde[..., -1, :], N), x[..., 1:, :])
+    shifted = solve(setting.problem(there, xi_tilde[..., -1, :]), x[..., 1:, :])
     beyond = apply(now.A[..., 1, :, :], setting.r[..., :-1, :])
     w = xi_tilde - np.concatenate([plan.x[..., 1:, :], beyond[..., None, :]], axis=-2)
     return Terms(setting, now, then, plan, after, shifted, plan.x[..., 1, :] - x[..., 1:, :], tail, xi_tilde, w)
@@ -142,10 +189,11 @@ def follow(setting: Setting) -> Terms:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Explicit constants for the bounds of the proof, for Q = I and R = I.
+    """Explicit constants for the bounds of the proof.
 
     ``alpha`` (..., T, N+1, 3): alpha_{i,1}, alpha_{i,2}, alpha_{i,3} of (30), and for i = N of the bound above (34).
-    ``beta`` (..., T, 3): beta_1, beta_2, beta_3 of (33); 2 r'r is part of beta_3.
+    ``mu``, ``top`` (..., 1): the smallest eigenvalue of Q and R, the largest of Q.
+    ``beta`` (..., T, 3): beta_1, beta_2, beta_3 of (33); 2 top r'r is part of beta_3.
     ``beta4`` (..., 1): beta_4 = beta_5 of (33), the arbitrarily small one.
     ``gamma`` (..., T, 3): gamma_1, gamma_2 of (36), and the constant term gamma_3.
     ``c`` (..., 1): with ``|Ax + Bu|^2 <= 2c (|x|^2 + |u|^2)``, above (37).
@@ -153,6 +201,8 @@ class Bounds:
     ``gain`` (..., 1): M of Assumption 5(a). ``value`` (..., 1): a bound of the value matrix S(k).
     """
 
+    mu: Array
+    top: Array
     alpha: Array
     beta: Array
     beta4: Array
@@ -177,32 +227,45 @@ def bounds(t: Terms) -> Bounds:
     M2, a2 = gain[..., None] ** 2, a[..., None] ** 2
     drift = 6 * M2 * (dA2 + np.arange(N + 1) * dB2)
     alpha = np.stack([3 * a2 * (o2 + 2 * M2 * o3) + drift, 6 * a2 * M2 * o3 + drift, 3 * a2 * o1 + 0 * drift], axis=-1)
-    # (33): the cross terms 2 xi'w <= eta |xi|^2 + |w|^2 / eta, |xi|^2 <= 2 M^2 (|x|^2 + |r|^2); mu = 1.
-    beta4 = np.full_like(gain, 0.25 if N > 1 else 0.0)
-    eta = 1 / (8 * gain**2 * max(N - 1, 1))
+    of_Q, of_R = (np.linalg.eigvalsh(weight) for weight in setting.weights)
+    mu, top = np.minimum(of_Q[..., 0], of_R[..., 0]), of_Q[..., -1]
+    # (33): the cross terms 2 xi'Qw <= top (eta |xi|^2 + |w|^2 / eta), |xi|^2 <= 2 M^2 (|x|^2 + |r|^2).
+    beta4 = mu / 4 + 0 * gain if N > 1 else 0 * gain
+    eta = mu / (8 * top * gain**2 * max(N - 1, 1))
     earlier = np.sum(alpha[..., : N - 1, :], axis=-2)
-    beta = 2 * alpha[..., N - 1, :] + (1 + 1 / eta[..., None]) * earlier
+    beta = top[..., None] * (2 * alpha[..., N - 1, :] + (1 + 1 / eta[..., None]) * earlier)
     r2, r2_next = square(t.r), square(t.r_next)
-    beta[..., 2] += 2 * r2
+    beta[..., 2] += 2 * top * r2
     c = size(np.concatenate([setting.plant.A, setting.plant.B], axis=-1))[..., None] ** 2 / 2
-    rho_bar = 1 / (2 * c)
+    rho_bar = mu / (2 * c)
     s4, s5 = _sup(2 * size(t.S[..., :n, n:])), _sup(size(t.S[..., n:, n:]))
     young = s4**2 / rho_bar
     last = alpha[..., N, :]
     constant = (s5 + young) * r2_next + 2 * young * (a**2 * r2 + last[..., 2])
     gamma = np.stack([2 * young * last[..., 0], 2 * young * last[..., 1], constant], axis=-1)
-    return Bounds(alpha, beta, beta4, gamma, c, rho_bar, gain, _sup(size(t.S)))
+    return Bounds(
+        np.asarray(mu), np.asarray(top), alpha, beta, beta4, gamma, c, rho_bar, gain, _sup(size(setting.forms))
+    )
 
 
 def draw(
-    rng: np.random.Generator, count: int, sizes: tuple[int, int, int], steps: int, error_decay: float = 0.6
+    rng: np.random.Generator,
+    count: int,
+    sizes: tuple[int, ...],
+    steps: int,
+    error_decay: float = 0.6,
+    weighted: bool = False,
 ) -> Setting:
     """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
 
     ``count``: how many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
-    ``sizes``: n, q, N. ``steps``: T. ``error_decay``: the models' errors shrink by this factor a step.
+    ``sizes``: n, q, N and, if there are any, how many states no input reaches, of the plant and of all its models; they
+    decay, and r(k) is where the model of step k says that they are going.
+    ``steps``: T. ``error_decay``: the models' errors shrink by this factor a step.
+    ``weighted``: draw Q and R too.
     """
-    n, q, N = sizes
+    n, q, N = sizes[:3]
+    m = n - sum(sizes[3:])
     fade = error_decay ** np.arange(steps + 1)[:, None, None]
     plants: list[tuple[Array, Array]] = []
     models: list[SignalModel] = []
@@ -211,8 +274,13 @@ def draw(
         A, B = rng.normal(size=(n, n)), rng.normal(size=(n, q))
         A *= rng.uniform(0.5, 1.3) / max(float(np.max(np.abs(np.linalg.eigvals(A)))), 0.1)
         DA, DB = 0.3 * rng.normal(size=(n, n)), 0.3 * rng.normal(size=(n, q))
+        if m < n:
+            A[m:, :m], B[m:], DA[m:, :m], DB[m:] = 0.0, 0.0, 0.0, 0.0
+            A[m:, m:] = np.diag(rng.uniform(-0.8, 0.8, n - m))
+            DA[m:, m:] *= 0.3
         model = SignalModel(A + fade * DA, B + fade * DB)
-        if np.min(controllability_margin(model)) > _LEAST_MARGIN:
+        reached = SignalModel(model.A[:, :m, :m], model.B[:, :m])
+        if np.min(controllability_margin(reached)) > _LEAST_MARGIN:
             plants.append((A, B))
             models.append(model)
             errors.append((2 * size(DA) ** 2, 2 * size(DB) ** 2))
@@ -223,9 +291,28 @@ def draw(
     omegas = np.zeros((count, steps, 3))
     omegas[..., 1:] = np.array(errors)[:, None, :] * fade[:-1, 0] ** 2
     x0 = rng.normal(size=(count, n)) * (kind != 2)
-    plant = SignalModel(np.stack([A for A, _ in plants]), np.stack([B for _, B in plants]))
-    stacked = SignalModel(np.stack([m.A for m in models]), np.stack([m.B for m in models]))
-    return Setting(plant, stacked, r, x0, omegas, N)
+    A, B = np.stack([A for A, _ in plants]), np.stack([B for _, B in plants])
+    stacked = SignalModel(np.stack([M.A for M in models]), np.stack([M.B for M in models]))
+    if m < n:
+        left = x0[:, m:]
+        for i in range(steps + 1):
+            goes_to = np.linalg.matrix_power(stacked.A[:, i, m:, m:], N)
+            r[:, i, m:] = apply(goes_to, left)
+            left = apply(A[:, m:, m:], left)
+        # In coordinates in which that cannot be seen.
+        turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        A, B, r, x0 = turn @ A @ turn.T, turn @ B, r @ turn.T, x0 @ turn.T
+        stacked = SignalModel(turn @ stacked.A @ turn.T, turn @ stacked.B)
+    setting = Setting(SignalModel(A, B), stacked, r, x0, omegas, N)
+    if not weighted:
+        return setting
+    return replace(setting, Q=_weights(rng, count, n), R=_weights(rng, count, q))
+
+
+def _weights(rng: np.random.Generator, count: int, n: int) -> Array:
+    """Draw symmetric matrices with eigenvalues from a third to three."""
+    turn = np.linalg.qr(rng.normal(size=(count, n, n)))[0]
+    return np.asarray((turn * 3.0 ** rng.uniform(-1, 1, (count, 1, n))) @ turn.swapaxes(-1, -2))
 
 
 def written_out(t: Terms, e: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rhl._checks import Array
 from rhl.horizon import solve
-from rhl.model import SignalModel
+from rhl.model import PredictorMaps, SignalModel
 from rhl.problems import V1
 
 Exact = NDArray[np.object_]
@@ -41,22 +41,22 @@ def predict(maps: tuple[list[Exact], list[Exact]], i: int, x: Exact, inputs: Exa
 def commutation_gaps(
     maps: tuple[list[Exact], list[Exact]], x: Exact, s: Exact, printed: bool = False
 ) -> list[Fraction | int]:
-    """Return the differences of the three members of (7) for 0 <= i + j <= N + 1 at x, shape (n).
+    """Return the differences of the three members of (7) for 0 <= i + j <= N + 1, at x of shape (n).
 
     ``maps``: A_0 ... A_N and B_0 ... B_{N-1}. ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
-    ``printed``: count a map that (7) names and (5) does not have as a difference of one.
+    ``printed``: count a map that (7) names and ``maps`` does not have as a difference of one.
     """
-    N = len(maps[1])
+    N, there = len(s) - 1, len(maps[1])
     gaps: list[Fraction | int] = []
     for i in range(N + 2):
         for j in range(N + 2 - i):
-            if printed and i + j > N:
+            if printed and i + j > there:
                 gaps.append(1)
-            if max(i, j) <= N:
+            if max(i, j) <= there:
                 after = predict(maps, j, predict(maps, i, x, s), s[i:])
                 before = predict(maps, i, predict(maps, j, x, s), s[j:])
                 gaps.extend(np.abs(after - before))
-                if i + j <= N:
+                if i + j <= there:
                     gaps.extend(np.abs(after - predict(maps, i + j, x, s)))
     return gaps
 
@@ -90,3 +90,19 @@ def prediction_errors(plant: SignalModel, predictor: SignalModel, x0: Array, ste
         states.append(x)
         x = plant.step(x, plan.u[..., 0, :])
     return np.array(errors), np.array(states)
+
+
+def general_maps(rng: np.random.Generator) -> tuple[SignalModel, PredictorMaps]:
+    """Draw a plant, and maps of the same sizes (with A_0 the identity) to disturb its own."""
+    n, q, N = (int(size) for size in rng.integers((1, 1, 1), (4, 3, 5)))
+    plant = SignalModel(rng.normal(size=(n, n)) / np.sqrt(n), rng.normal(size=(n, q)))
+    D = np.concatenate([np.eye(n)[None], rng.normal(size=(N, n, n))])
+    return plant, PredictorMaps(D, rng.normal(size=(N, n, q)))
+
+
+def stepped(plant: SignalModel, x: Array, inputs: Array) -> Array:
+    """Return x and the states after each of the inputs, one step of the plant after the other, shape (..., N+1, n)."""
+    states = [x]
+    for l in range(inputs.shape[-2]):
+        states.append(plant.step(states[-1], inputs[..., l, :]))
+    return np.stack(states, axis=-2)

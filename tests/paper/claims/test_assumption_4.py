@@ -65,6 +65,12 @@ def test_range_of_seven_as_printed_names_a_map_that_is_not_there():
     assert predictors.commutation_gaps(maps, x, s, printed=True).count(1) == 4  # (i, j) with i + j = 3
 
 
+def test_seven_as_printed_holds_where_that_map_is_there(monkeypatch):
+    right = predictors.powers
+    monkeypatch.setattr(assumption_4, "powers", lambda A, B, N: right(A, B, N + 1))
+    assert assumption_4.check_commuting(Effort(0, 8), printed=True).passes
+
+
 def test_error_of_no_step_is_zero_for_any_predictor():
     """e_0 = A_0 x - x = 0: the proof of Lemma 2 cannot mean e_0."""
     wrong = predictors.powers(exact([[5]]), exact([[7]]), 1)

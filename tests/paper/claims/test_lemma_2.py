@@ -13,7 +13,6 @@ from rhl.paper.claims import lyapunov_inequalities as steps
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import SIZES, Setting, at_the_end, bounds, draw, follow, square, written_out
 from rhl.paper.claims.rotating_models import losing, rotation, turning
-from rhl.problems import V3
 
 ROUNDING = 1e-9  # relative to V3; gains are below a few hundred
 
@@ -48,17 +47,28 @@ def test_scalar_loop_with_horizon_one_by_hand(a, b, x0, r):
 @pytest.mark.parametrize("sizes", SIZES)
 def test_gains_and_value_matrices_are_those_of_the_solver(sizes):
     rng = np.random.default_rng(3)
-    setting = draw(rng, 3, sizes, 6)
+    setting = draw(rng, 3, sizes, 6, weighted=True)
     t = follow(setting)
-    n = sizes[0]
-    x, r = rng.normal(size=n), rng.normal(size=n)
+    n, N = sizes[0], sizes[2]
+    x, inputs = rng.normal(size=n), rng.normal(size=(N, sizes[1]))
     models = SignalModel(setting.models.A[:, 1:], setting.models.B[:, 1:])
-    plan = solve(V3(models, 1.0, 1.0, r, sizes[2]), x)
-    both = np.concatenate([x, r])
+    r = models.predictor(N).predict(x, inputs)[..., -1, :]  # within reach, whatever the inputs do not move
+    plan = solve(setting.problem(models, r), x)
+    both = np.concatenate([np.broadcast_to(x, r.shape), r], axis=-1)
     K, L = setting.gains
-    assert np.einsum("...iab,b->...ia", K[:, 1:], both) == pytest.approx(plan.x, abs=ROUNDING)
-    assert np.einsum("...iab,b->...ia", L[:, 1:], both) == pytest.approx(plan.u, abs=ROUNDING)
-    assert np.einsum("a,...ab,b->...", both, t.S, both) == pytest.approx(plan.value, rel=ROUNDING)
+    assert np.einsum("...iab,...b->...ia", K[:, 1:], both) == pytest.approx(plan.x, abs=ROUNDING)
+    assert np.einsum("...iab,...b->...ia", L[:, 1:], both) == pytest.approx(plan.u, abs=ROUNDING)
+    assert np.einsum("...a,...ab,...b->...", both, t.S, both) == pytest.approx(plan.value, rel=ROUNDING)
+
+
+def test_hidden_states_are_out_of_every_models_reach_and_asked_for_where_they_go():
+    setting = draw(np.random.default_rng(8), 4, (3, 1, 3, 1), 12, weighted=True)
+    BB = np.concatenate(list(np.moveaxis(setting.models.predictor(3).B, -3, 0)), axis=-1)
+    assert np.all(np.linalg.matrix_rank(BB, tol=1e-9) == 2)
+    t = follow(setting)  # V3 is feasible at every step, or this raises
+    assert np.abs(t.r).max() > 0.1
+    assert np.abs(t.plan.x[..., -1, :] - t.r).max() < ROUNDING
+    assert np.abs(setting.weights[0] - np.eye(3)).max() > 0.1
 
 
 @pytest.mark.parametrize("sizes", SIZES)

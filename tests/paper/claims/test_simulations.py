@@ -1,12 +1,16 @@
 """The simulations' claims as recorded; the exact tests on equation (23) against python-control."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 
+from rhl.paper import published
 from rhl.paper.claims import simulations
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.published import linear_example
+from rhl.plants import LinearPlant
 
 
 @pytest.mark.parametrize("claim", simulations.CLAIMS, ids=lambda claim: claim.id)
@@ -15,11 +19,14 @@ def test_as_recorded(claim):
     assert judgement.as_recorded, judgement
 
 
-def test_exact_matrices_are_those_of_the_example():
+def test_exact_matrices_are_those_of_the_example(monkeypatch):
     plant = linear_example().plant
-    assert np.array_equal(np.array(simulations._F) / 100, plant.F)
-    assert np.array_equal(simulations._G, plant.G)
-    assert np.array_equal(simulations._H, plant.H)
+    for exact, M in zip(simulations.linear_matrices(), (plant.F, plant.G, plant.H), strict=True):
+        assert np.array_equal(np.array(exact, dtype=float), M)
+    other = replace(linear_example(), plant=LinearPlant(plant.F + 1e-3, plant.G, plant.H))
+    monkeypatch.setattr(published, "linear_example", lambda: other)
+    with pytest.raises(ValueError, match="no hundredths"):
+        simulations.linear_matrices()
 
 
 def test_ranks_agree_with_python_control():
