@@ -92,7 +92,9 @@ PAPER = [
         )
     ),
     "paper.claims.ledger",
+    "paper.chain",
     "paper.pages",
+    "paper.chain_picture",
     "paper.sweeps",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]

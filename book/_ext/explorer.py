@@ -10,7 +10,7 @@ from rhl import plotting
 from rhl.paper import sweeps
 
 # Which page asks for which scripts of book/_static/explore; other pages load none of them.
-SCRIPTS = {"book/explore": ("chart.js", "runs.js", "lemmas.js")}
+SCRIPTS = {"book/explore": ("chart.js", "runs.js", "lemmas.js"), "book/chain": ("chain.js",)}
 
 
 def compute(folder: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 import math
 import os
+import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -16,7 +18,7 @@ from rhl.paper.published import Comparison
 if TYPE_CHECKING:
     from pandas.io.formats.style import Styler
 
-    from rhl.paper.claims.claim import Claim, Judgement
+    from rhl.paper.claims.claim import Claim, Judgement, Status
 
 
 def tell(**values: float | int | str) -> None:
@@ -67,8 +69,35 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
     )
 
 
+# What colour a status has, as a class of book/_static/book.css; the words carry the meaning too.
+_COLOURS: dict[Status, str] = {
+    "proved here": "stands",
+    "machine-checked": "stands",
+    "holds on all cases tried": "tried",
+    "holds once corrected": "corrected",
+    "fails: counterexample": "fails",
+    "cannot be checked": "given",
+    "no evidence": "open",
+}
+
+
+def badge(status: Status) -> str:
+    """Return a status as HTML in its colour."""
+    return f'<span class="standing {_COLOURS[status]}">{status}</span>'
+
+
+def status_counts(judgements: Iterable[Judgement]) -> str:
+    """Return how often each status came out, as HTML."""
+    counts = Counter(judgement.status for judgement in judgements)
+    return (
+        '<p class="status-counts">'
+        + " ".join(f"{counts[status]} {badge(status)}" for status in _COLOURS if counts[status])
+        + "</p>"
+    )
+
+
 def ledger_table(judgements: Iterable[Judgement]) -> str:
-    """Return judgements as HTML for a page in ``book/``: each row links to its page, its code and its test."""
+    """Return judgements as HTML for a page in ``book/``: each row links to its page, its proof, code and test."""
     rows = [_ledger_row(judgement) for judgement in judgements]
     head = "<tr><th>claim</th><th>what it says, and what came out</th></tr>"
     return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
@@ -78,34 +107,92 @@ def _ledger_row(judgement: Judgement) -> str:
     claim, found = judgement.claim, judgement.evidence
     check = claim.stated.func if isinstance(claim.stated, partial) else claim.stated
     module = check.__module__ if check else None
-    links = [
-        (f"../{claim.page.removesuffix('.ipynb').removesuffix('.md')}.html", "page"),
-        (f"checks.html#{Path(claim.test).stem.replace('_', '-')}", "test"),
-    ]
+    links = [(seen_from_book(claim.page), "page")]
+    if claim.proof:
+        links.append((seen_from_book(claim.proof), "proof"))
     if module:
-        links.insert(1, (f"../_modules/{module.replace('.', '/')}.html", "code"))
-    says = [html.escape(claim.statement)]
+        links.append((f"../_modules/{module.replace('.', '/')}.html", "code"))
+    links.append((f"checks.html#{Path(claim.test).stem.replace('_', '-')}", "test"))
+    says = [readable(claim.statement), badge(judgement.status)]
     if found and claim.control:
-        says.append(
-            f"<b>{judgement.verdict}</b>: {claim.method}, {found.cases} cases, worst {found.worst:.2g}, "
-            f"tolerance {found.tolerance:.2g} ({html.escape(found.why)}). Fails with {html.escape(claim.control.what)}."
+        words = (
+            f"{claim.method}, {found.cases} cases, worst {number(found.worst)}, tolerance {number(found.tolerance)} "
+            f"({readable(found.why)}). Fails with {readable(claim.control.what)}."
         )
-    else:
-        says.append(f"<b>{judgement.verdict}</b>.")
-    if claim.reason:
-        says.append(html.escape(claim.reason))
+        says[-1] += " " + words + (f" Holds with {readable(claim.instance.what)}." if claim.instance else "")
+    says += [readable(words) for words in (judgement.problem, claim.reason) if words]
+    if claim.uses:
+        says.append("Uses " + ", ".join(f'<a href="#{id}">{id}</a>' for id in claim.uses) + ".")
     says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
     item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
     return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'
 
 
+def seen_from_book(place: str) -> str:
+    """Return the address, seen from ``book/``, of a page of the sources such as "notebooks/05-lemma-1.ipynb#proof"."""
+    page, _, anchor = place.partition("#")
+    return f"../{page.rpartition('.')[0]}.html" + (f"#{anchor}" if anchor else "")
+
+
 def findings_table(claims: Iterable[Claim]) -> str:
-    """Return what is wrong and what is right about claims as HTML for a page in ``book/``."""
-    rows = [
-        f"<tr><td>{html.escape(claim.item if claim.item != 'text' else 'In the text')}</td>"
-        f"<td>{html.escape(claim.statement)}<br>{html.escape(claim.reason)}<br>"
-        f'<a href="../{claim.page.removesuffix(".ipynb")}.html">{claim.id}</a></td></tr>'
-        for claim in claims
-    ]
+    """Return what is wrong and what is right about claims as HTML for a page in ``book/``, grouped by their pages."""
+    groups: dict[str, list[Claim]] = {}
+    for claim in claims:
+        groups.setdefault(claim.page, []).append(claim)
+    rows = []
+    for page, group in groups.items():
+        kind, _, rest = page.rpartition("/")[2].partition(".")[0].partition("-")[2].partition("-")
+        title = f"{kind} {rest}".replace("-", " ").strip().capitalize()
+        rows.append(f'<tr class="group"><th colspan="2"><a href="{seen_from_book(page)}">{title}</a></th></tr>')
+        rows += [
+            f"<tr><td>{html.escape(claim.item if claim.item != 'text' else 'In the text')}</td>"
+            f"<td>{readable(claim.statement)}<br>{readable(claim.reason)}<br>"
+            f'<a href="ledger.html#{claim.id}">{claim.id}</a></td></tr>'
+            for claim in group
+        ]
     head = "<tr><th>where</th><th>what is said, and what is found</th></tr>"
     return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float) -> str:
+    """Return a number with two digits for a page: 2·10⁻¹² and not 2e-12."""
+    digits, _, exponent = f"{value:.2g}".partition("e")
+    if not exponent:
+        return digits.replace("-", "−")
+    power = "10" + str(int(exponent)).translate(_RAISED)
+    return power if digits == "1" else f"{digits}·{power}".replace("-", "−")
+
+
+_GREEK = {
+    **{"alpha": "α", "beta": "β", "gamma": "γ", "Gamma": "Γ", "delta": "δ", "eps": "ε", "epsilon": "ε", "zeta": "ζ"},
+    **{"theta": "θ", "kappa": "κ", "lambda": "λ", "mu": "μ", "nu": "ν", "xi": "ξ", "rho": "ρ", "phi": "φ"},
+    **{"omega": "ω", "omegas": "ω"},
+}
+_SIGNS = {"&lt;=": "≤", "&gt;=": "≥", "!=": "≠", "-&gt;": "→", "|-&gt;": "↦"}
+
+
+def readable(text: str) -> str:
+    """Return the plain text of a claim as HTML in which formulas are set: Greek letters, indices, powers, numbers."""
+    text = html.escape(text, quote=False)
+    for plain, sign in _SIGNS.items():
+        text = text.replace(plain, sign)
+    text = re.sub(r"\b(\d+(?:\.\d+)?)e(-?)\+?0*(\d+)\b", lambda m: number(float(m[0])), text)
+    text = re.sub(r"\b([a-zA-Z]+)-bar\b", lambda m: _GREEK.get(m[1], m[1]) + "\u0304", text)
+    text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
+    text = re.sub(r"(\w)~", "\\1\u0303", text)
+    index = r"(?:\{[^{}]*\}|\d+|[A-Za-z]+(?:[+-]\d+)?(?!\w))"
+    text = re.sub(rf"(?<=[\w\u0303\u0304*])_({index})", lambda m: f"<sub>{_bare(m[1])}</sub>", text)
+    power = r"(?:\([^()]*\)|\{[^{}]*\}|-?\w+|\+)"
+    text = re.sub(rf"\^({power})", lambda m: f"<sup>{_bare(m[1])}</sup>", text)
+    # A transpose, not a quotation mark or the s of a genitive.
+    return re.sub(r"(?<=[\w)>\]])'(?=[\w(\[)]|\s?[A-Z(\[])(?!s\b)", "ᵀ", text)
+
+
+def _bare(script: str) -> str:
+    """Return an index or a power without the brackets that held it together."""
+    if script[0] + script[-1] in ("{}", "()"):
+        script = script[1:-1]
+    return script.replace("-", "−")

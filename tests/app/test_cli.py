@@ -421,6 +421,7 @@ def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
             "seconds",
             "status",
             "as_recorded",
+            "kind",
             "problem",
             "instance",
             "uses",

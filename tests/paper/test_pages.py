@@ -2,13 +2,26 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rhl.errors import InputError
-from rhl.paper.pages import comparison_table, table, tell
+from rhl.paper.claims.claim import Control, Evidence, Judgement
+from rhl.paper.claims.ledger import CLAIMS
+from rhl.paper.pages import (
+    badge,
+    comparison_table,
+    findings_table,
+    ledger_table,
+    number,
+    readable,
+    status_counts,
+    table,
+    tell,
+)
 from rhl.paper.published import Comparison
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -62,6 +75,74 @@ def test_tables():
     assert 'class="dataframe"' in page
     assert all(entry in page for entry in ("2e-12", "1e-09", "within", "unexplained", "none"))
     assert ">1<" in table(row for row in [{"n": 1}]).to_html()
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (2e-12, "2·10⁻¹²"),
+        (1e-9, "10⁻⁹"),
+        (1e5, "10⁵"),
+        (-1.2e-7, "−1.2·10⁻⁷"),
+        (0.79, "0.79"),
+        (-0.25, "−0.25"),
+        (0.0, "0"),
+    ],
+)
+def test_numbers_are_written_as_on_paper(value, words):
+    assert number(value) == words
+
+
+@pytest.mark.parametrize(
+    ("text", "set_as"),
+    [
+        ("x_N'Q_N x_N <= V2 + eps rho", "x<sub>N</sub>ᵀQ<sub>N</sub> x<sub>N</sub> ≤ V2 + ε ρ"),
+        ("max(lambda_max(Q), 1) -> 0", "max(λ<sub>max</sub>(Q), 1) → 0"),
+        ("C'(CC')^-1 B and B_{N-1}", "Cᵀ(CCᵀ)<sup>−1</sup> B and B<sub>N−1</sub>"),
+        ("2 rho-bar < mu, r~+ = 0", "2 ρ̄ &lt; μ, r̃+ = 0"),
+        ("theta~(k), x*_{k+1}, e_0(k)", "θ̃(k), x*<sub>k+1</sub>, e<sub>0</sub>(k)"),
+        ("from 1e-10 to 1e3", "from 10⁻¹⁰ to 10³"),
+        ("V1's gain, lemma-1.a, not 'the limit' of it", "V1's gain, lemma-1.a, not 'the limit' of it"),
+    ],
+)
+def test_formulas_of_claims_are_set(text, set_as):
+    assert readable(text) == set_as
+
+
+def test_no_claim_shows_plain_text_formulas():
+    """What is left of the ways to write a formula without setting it, in anything that a page shows of a claim."""
+    left = re.compile(r"\b(eps|rho|lambda|theta|epsilon)\b|<=|->|\de-?\d|\w_\w|\^|~")
+    found = [
+        readable(words)
+        for claim in CLAIMS
+        for words in (claim.statement, claim.reason, claim.control.what if claim.control else "")
+        if left.search(readable(words))
+    ]
+    assert found == []
+    assert left.search("x_N <= 1e-3")
+
+
+def test_rows_of_the_ledger_say_status_evidence_and_what_is_used():
+    claim = replace(
+        next(claim for claim in CLAIMS if claim.id == "eq-39"),
+        instance=Control("a case in which it holds", lambda effort: Evidence(1, 0.0)),
+    )
+    row = ledger_table([Judgement(claim, "holds", Evidence(7, 2e-12, 1e-9, "rounding"), True, True, "", 0.1)])
+    assert '<span class="standing stands">proved here</span> numerical sampling, 7 cases, worst 2·10⁻¹²' in row
+    assert "Holds with a case in which it holds." in row
+    assert '<a href="#assumption-3">assumption-3</a>' in row
+    assert 'href="../notebooks/07-lemma-3.html#the-proof-step-by-step">proof' in row
+    broken = Judgement(claim, "no-evidence", Evidence(0, np.nan), True, True, "the check raised E", 0.1)
+    assert '<span class="standing open">no evidence</span>' in ledger_table([broken])
+    assert "the check raised E" in ledger_table([broken])
+    assert "1 " + badge("no evidence") in status_counts([broken])
+
+
+def test_findings_are_grouped_by_page():
+    claims = [claim for claim in CLAIMS if claim.recorded == "holds-corrected"]
+    groups = re.findall(r'<tr class="group">.*?<a href="([^"]*)">([^<]*)</a>', findings_table(claims))
+    assert ("../notebooks/06-lemma-2.html", "Lemma 2") in groups
+    assert len(groups) == len(set(groups)) > 4
 
 
 def test_bars_in_docstrings_are_absolute_values():

@@ -296,6 +296,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_out_of_reach,
         control=Control("an input that does reach the unstable mode", lambda e: check_out_of_reach(e, reached=True)),
+        kind="hypothesis",
     ),
     _claim(
         "assumption-4a",
@@ -304,6 +305,7 @@ CLAIMS: tuple[Claim, ...] = (
         "The predictor maps are linear and converge.",
         reason="A hypothesis. Its linear form is checked by eq-5; that convergence is more than the proofs use, by "
         "lemma-2.differences.",
+        kind="hypothesis",
     ),
     _claim(
         "eq-5",
@@ -317,6 +319,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("B_l in the place of B_{i-1-l}", lambda effort: check_arguments(effort, 0, swapped=True)),
         reason="P_i is printed with u_i as its last argument; nothing in it depends on u_i, the last is u_{i-1}, as in "
         "(3).",
+        kind="definition",
     ),
     _claim(
         "eq-6",
@@ -325,6 +328,7 @@ CLAIMS: tuple[Claim, ...] = (
         "The maps A_i(k), B_i(k) have limits.",
         reason="A hypothesis, and a limit without a rate. Whether the estimator delivers it is theorem-2.i; what the "
         "proof of Lemma 2 needs in its place, lemma-2.differences.",
+        kind="hypothesis",
     ),
     _claim(
         "assumption-4b",
@@ -335,6 +339,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_error_bound,
         control=Control("errors of the maps that stay", lambda effort: check_error_bound(effort, approaching=False)),
+        kind="hypothesis",
     ),
     _claim(
         "eq-7",
@@ -349,6 +354,7 @@ CLAIMS: tuple[Claim, ...] = (
         reason="The range 0 <= i + j <= N + 1 names P_{N+1}, for which there are no maps, and s_N, which is no part of "
         "the plan. Three equal members up to i + j = N, and the first two up to N + 1 with s_N = 0, are what the proof "
         "of Lemma 2 uses.",
+        kind="hypothesis",
     ),
     _claim(
         "eq-7.powers",
@@ -361,6 +367,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control(
             "(7) only from states that a closed loop may visit", lambda effort: check_powers(effort, everywhere=False)
         ),
+        proof="notebooks/04-assumption-4.ipynb#only-powers-commute",
     ),
     _claim(
         "eq-8",
@@ -375,6 +382,7 @@ CLAIMS: tuple[Claim, ...] = (
         reason="The sum on the right is to end at i - 1: with l = i it would hold A^-1 B s_i, which need not exist and "
         "is an error of its own. So is the sum of |s_l|^2 in the bound, where s_i does no harm, but s_N is no part of "
         "the plan.",
+        kind="hypothesis",
     ),
     _claim(
         "assumption-4c",
@@ -385,6 +393,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_steering,
         control=Control("a rank below n", lambda effort: check_steering(effort, short=True)),
+        kind="hypothesis",
     ),
     _claim(
         "eq-9",
@@ -395,6 +404,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_reachable_end,
         control=Control("a mode at 1 that no input reaches", lambda effort: check_reachable_end(effort, mode=1.0)),
+        kind="hypothesis",
     ),
     _claim(
         "remark-1",
@@ -419,6 +429,8 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control(
             "signals that grow as fast as the maps improve", lambda effort: check_bounded_signals(effort, growing=True)
         ),
+        uses=("assumption-4b",),
+        proof="notebooks/04-assumption-4.ipynb#bounded-signals",
     ),
     _claim(
         "remark-1.planned",

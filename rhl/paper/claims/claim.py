@@ -25,6 +25,7 @@ Status = Literal[
     "cannot be checked",
     "no evidence",
 ]
+Kind = Literal["statement", "hypothesis", "definition"]
 Method = Literal["symbolic identity", "exact arithmetic", "numerical sampling", "simulation", "none"]
 
 
@@ -125,8 +126,12 @@ class Claim:
         For a refuted claim: a case in which its statement holds, judged by the same check.
     reason : str
         What is wrong and what is right, or why it cannot be checked; empty where the claim simply holds.
+    kind : Kind
+        Whether the paper proves it, assumes it or defines it by it. What is assumed or defined has no proof; a check of
+        it shows an instance, or what follows at once.
     uses : tuple of str
-        The ids of the claims that the proof of this one uses, assumptions included.
+        The ids of the claims that the proof of this one uses, assumptions included; of a corrected claim, the proof of
+        the corrected form.
     proof : str
         Where the book proves it, page and anchor, such as "notebooks/08-theorem-1.ipynb#proof"; empty where it does
         not.
@@ -147,6 +152,7 @@ class Claim:
     control: Control | None = None
     instance: Control | None = None
     reason: str = ""
+    kind: Kind = "statement"
     uses: tuple[str, ...] = ()
     proof: str = ""
     formal: str = ""
@@ -157,6 +163,10 @@ class Claim:
             raise InputError(f"claim {self.id} must have a check and a control, or neither and be not-checkable")
         if (self.recorded in ("holds-corrected", "refuted", "not-checkable")) != bool(self.reason):
             raise InputError(f"claim {self.id} must give a reason just where it is corrected, refuted or not checkable")
+        if self.kind != "statement" and (self.uses or self.proof or self.formal):
+            raise InputError(
+                f"claim {self.id} is a {self.kind}, which nothing proves, and must name neither proof nor uses"
+            )
         if (self.recorded == "holds-corrected") != (self.corrected is not None):
             raise InputError(
                 f"claim {self.id} must have a corrected check just where it is recorded as holds-corrected"

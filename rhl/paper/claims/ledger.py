@@ -96,6 +96,7 @@ def _entry(judgement: Judgement) -> dict[str, Any]:
         "reason": claim.reason,
         "control": {"what": claim.control.what, "tripped": judgement.tripped} if claim.control else None,
         "instance": {"what": claim.instance.what, "holds": judgement.told_apart} if claim.instance else None,
+        "kind": claim.kind,
         "uses": list(claim.uses),
         "proof": claim.proof,
         "formal": claim.formal,

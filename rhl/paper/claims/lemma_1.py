@@ -17,6 +17,8 @@ from rhl.problems import V1, V2, V3, Problem
 
 _claim = partial(Claim, page="notebooks/05-lemma-1.ipynb", test="tests/paper/claims/test_lemma_1.py")
 
+_PROOF = "notebooks/05-lemma-1.ipynb#the-proof-step-by-step"
+
 # Entries of order one; the maps' terminal rank is kept away from a loss by a factor of a hundred.
 _ROUNDING = 1e-9
 
@@ -342,6 +344,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_linear,
         control=Control("a terminal state that depends on |x|", lambda effort: check_linear(effort, bend=0.1)),
+        uses=("assumption-3", "eq-5", "eq-11"),
+        proof=_PROOF,
     ),
     _claim(
         "lemma-1.a.symbolic",
@@ -352,6 +356,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_symbolic,
         control=Control("Q = R = 0", lambda effort: check_symbolic(effort, R_sign=0)),
+        uses=("assumption-3", "eq-11"),
     ),
     _claim(
         "lemma-1.a.value",
@@ -362,6 +367,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_quadratic,
         control=Control("a cubic term in the value", lambda effort: check_quadratic(effort, cubic=0.1)),
+        uses=("lemma-1.a",),
+        proof=_PROOF,
     ),
     _claim(
         "lemma-1.b",
@@ -372,6 +379,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_v2,
         control=Control("some minimiser instead of the least one", lambda effort: check_v2(effort, sample=True)),
+        uses=("lemma-1.a", "eq-10"),
+        proof=_PROOF,
     ),
     _claim(
         "assumption-5",
@@ -379,6 +388,7 @@ CLAIMS: tuple[Claim, ...] = (
         "new",
         "The gains of the solutions of V3 and of V1 along the closed loop stay below one bound.",
         reason="A hypothesis about a whole infinite run; what implies part (a) is checked by assumption-5.bound.",
+        kind="hypothesis",
     ),
     _claim(
         "assumption-5.rank",
@@ -391,6 +401,7 @@ CLAIMS: tuple[Claim, ...] = (
         corrected=lambda effort: check_rank(effort, "row"),
         control=Control("maps of a lower rank", lambda effort: check_rank(effort, "row", full=False)),
         reason="Full row rank is meant, not column rank, and the feasible gain is C'(CC')^-1 B, not (C'C)^-1 C'B.",
+        uses=("eq-11",),
     ),
     _claim(
         "assumption-5.bound",
@@ -401,6 +412,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_bound,
         control=Control("maps of a lower rank", lambda effort: check_bound(effort, full=False)),
+        uses=("assumption-3", "assumption-5.rank", "lemma-1.a"),
     ),
     _claim(
         "assumption-5.implies",
@@ -423,6 +435,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V1"),
         control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V1", 1e-6)),
+        kind="definition",
     ),
     _claim(
         "eq-10",
@@ -433,6 +446,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V2"),
         control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V2", 1e-6)),
+        kind="definition",
     ),
     _claim(
         "eq-11",
@@ -443,5 +457,6 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V3"),
         control=Control("inputs moved by 1e-6", lambda effort: check_optimality(effort, "V3", 1e-6)),
+        kind="definition",
     ),
 )

@@ -34,6 +34,7 @@ _claim = partial(
     method="numerical sampling",
     recorded="holds",
     page="notebooks/06-lemma-2.ipynb",
+    proof="notebooks/06-lemma-2.ipynb#the-proof-step-by-step",
     test="tests/paper/claims/test_lemma_2.py",
 )
 
@@ -50,7 +51,7 @@ Violation = Callable[[Terms, Bounds], Array]
 def sample(seed: int, cases: int, error_decay: float = 0.6) -> tuple[tuple[Terms, Bounds], ...]:
     """Draw and follow closed loops, of each of the sizes; kept, for all equations of the proof look at them."""
     rng = Effort(seed).rng("lemma-2")
-    each = -(-cases // len(SIZES))
+    each = max(3, -(-cases // len(SIZES)))  # every kind of run that there is
     loops = [follow(draw(rng, each, sizes, _STEPS, error_decay, weighted=True)) for sizes in SIZES]
     return tuple((t, bounds(t)) for t in loops)
 
@@ -179,8 +180,12 @@ def _step(
     broken: tuple[str, dict[str, Any]],
     printed: dict[str, Any] | None = None,
     reason: str = "",
+    **more: Any,
 ) -> Claim:
-    """Return the claim of one equation; ``printed`` are the switches that take it as printed, where that fails."""
+    """Return the claim of one equation; ``printed`` are the switches that take it as printed, where that fails.
+
+    ``more``: further fields of the claim.
+    """
     what, switches = broken
     check = partial(along, violation)
     stated = check if printed is None else partial(along, partial(violation, **printed))
@@ -195,6 +200,7 @@ def _step(
         corrected=None if printed is None else check,
         control=Control(what, partial(along, partial(violation, **switches))),
         reason=reason,
+        **more,
     )
 
 
@@ -216,6 +222,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         stated=check_rest,
         control=Control("r(k) not going to zero", lambda effort: check_rest(effort, floor=0.1)),
+        uses=("assumption-4a", "lemma-2.differences"),
     ),
     _claim(
         "lemma-2.gains",
@@ -226,6 +233,8 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         stated=check_gains,
         control=Control("gains that grow beyond bounds", lambda effort: check_gains(effort, floor=0.0)),
+        uses=("lemma-2",),
+        proof="",
     ),
     _claim(
         "lemma-2.differences",
@@ -235,6 +244,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         stated=check_turning,
         control=Control("a model that turns by half a radian at every step", partial(check_turning, spin=0.5)),
+        uses=("assumption-3", "assumption-4b", "assumption-5", "lemma-2.conclusion", "lemma-2.input"),
     ),
     _claim(
         "lemma-2.one-step",
@@ -244,6 +254,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         stated=check_second_step,
         control=Control("a plant about which one step is wrong too", partial(check_second_step, growth=3.0)),
+        uses=("assumption-3", "assumption-5", "lemma-2.conclusion", "lemma-2.input"),
     ),
     _step(
         "lemma-2.positive",
@@ -251,6 +262,7 @@ CLAIMS: tuple[Claim, ...] = (
         "V3(x, p) is at least lambda_min(Q) x'x.",
         steps.below_state,
         ("twice that constant", {"share": 2.0}),
+        uses=("assumption-3", "eq-11"),
     ),
     _step(
         "eq-25",
@@ -259,6 +271,7 @@ CLAIMS: tuple[Claim, ...] = (
         "the three problems are feasible, and have the values that their value matrices give.",
         steps.split,
         ("the middle value of the second part taken with the maps of time k", {"stale": True}),
+        uses=("eq-26", "eq-11"),
     ),
     _step(
         "eq-26",
@@ -266,6 +279,8 @@ CLAIMS: tuple[Claim, ...] = (
         "r~+ is where the maps of time k+1 take the shifted plan nu_1 ... nu_{N-1}, 0.",
         steps.shifted_end,
         ("another last input than zero", {"last": 1.0}),
+        kind="definition",
+        proof="",
     ),
     _step(
         "eq-27",
@@ -275,6 +290,7 @@ CLAIMS: tuple[Claim, ...] = (
         ("the one-step error left out", {"printed": True}),
         printed={"printed": True},
         reason=_ONE_STEP,
+        uses=("assumption-4b", "eq-26"),
     ),
     _step(
         "eq-28",
@@ -284,6 +300,7 @@ CLAIMS: tuple[Claim, ...] = (
         ("the one-step error left out", {"printed": True}),
         printed={"printed": True},
         reason=_ONE_STEP,
+        uses=("eq-27",),
     ),
     _claim(
         "eq-29",
@@ -292,6 +309,7 @@ CLAIMS: tuple[Claim, ...] = (
         "x'Qy <= lambda (rho/2 x'x + y'y/(2 rho)) for symmetric Q between 0 and lambda.",
         stated=check_young,
         control=Control("a skew-symmetric part in Q, which x'Qx does not see", partial(check_young, skew=0.5)),
+        proof="notebooks/06-lemma-2.ipynb#young",
     ),
     _claim(
         "eq-30",
@@ -302,6 +320,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control(
             "a predictor whose error does not decay", lambda effort: along(steps.bounded_w, effort, error_decay=1.0)
         ),
+        uses=("assumption-4b", "assumption-5", "eq-28", "lemma-1.a"),
     ),
     _step(
         "eq-31",
@@ -309,6 +328,7 @@ CLAIMS: tuple[Claim, ...] = (
         "The cost of the shifted plan is that of the old predictions, moved by w, and of the old inputs but the first.",
         steps.shifted_cost,
         ("w left out", {"with_w": False}),
+        uses=("eq-27",),
     ),
     _step(
         "eq-32",
@@ -316,6 +336,7 @@ CLAIMS: tuple[Claim, ...] = (
         "By optimality the step of time costs at most -x'Qx - nu_0'R nu_0 plus terms in r and w.",
         steps.first_bound,
         ("the products of xi and w left out", {"cross": False}),
+        uses=("eq-26", "eq-31"),
     ),
     _step(
         "eq-33",
@@ -324,6 +345,7 @@ CLAIMS: tuple[Claim, ...] = (
         "small, is part of beta_3.",
         steps.first_step,
         ("r'Qr not counted in beta_3", {"counted": False}),
+        uses=("assumption-5", "eq-29", "eq-30", "eq-32", "lemma-1.a"),
     ),
     _step(
         "eq-34",
@@ -331,6 +353,7 @@ CLAIMS: tuple[Claim, ...] = (
         "|r~+|^2 is at most 2 alpha_1 x'x + 2 alpha_2 r'r plus a constant that goes to zero with r(k).",
         steps.bounded_end,
         ("r(k) left out of the constant", {"with_r": False}),
+        uses=("eq-30", "eq-34.end"),
     ),
     _step(
         "eq-34.end",
@@ -341,6 +364,7 @@ CLAIMS: tuple[Claim, ...] = (
         printed={"printed": True},
         reason="Above (34) r~+ = A_1(k) r + w_N is derived; below (36) it is written r + w_N. The bounds change by the "
         "factor |A_1(k)|^2 only.",
+        uses=("assumption-4b", "eq-27"),
     ),
     _step(
         "eq-35",
@@ -348,6 +372,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Two values of V3 from the same state differ by x'S_4 (r+ - r~+) and two quadratic forms in S_5.",
         steps.same_state,
         ("the cross term halved", {"halved": True}),
+        uses=("lemma-1.a.value",),
     ),
     _step(
         "eq-36",
@@ -355,6 +380,7 @@ CLAIMS: tuple[Claim, ...] = (
         "By Young's inequality that difference is at most rho-bar/2 |Ax + B nu_0|^2 + gamma.",
         steps.second_bound,
         ("half the term in Ax + B nu_0", {"share": 0.5}),
+        uses=("eq-29", "eq-35"),
     ),
     _step(
         "eq-36.gamma",
@@ -364,6 +390,7 @@ CLAIMS: tuple[Claim, ...] = (
         ("the constant term left out", {"constant": False}),
         printed={"constant": False},
         reason=_GAMMA,
+        uses=("assumption-5", "eq-34", "eq-36", "lemma-1.a.value"),
     ),
     _step(
         "eq-37",
@@ -373,6 +400,7 @@ CLAIMS: tuple[Claim, ...] = (
         ("the constant term left out", {"constant": False}),
         printed={"constant": False},
         reason=_GAMMA,
+        uses=("eq-36", "eq-36.gamma"),
     ),
     _step(
         "eq-38",
@@ -382,6 +410,7 @@ CLAIMS: tuple[Claim, ...] = (
         ("the constant term left out", {"constant": False}),
         printed={"constant": False},
         reason=_GAMMA + " What (33) and (37) are inserted into is (25), not (32).",
+        uses=("eq-25", "eq-33", "eq-37", "eq-38.constant"),
     ),
     _claim(
         "eq-38.constant",
@@ -394,6 +423,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("2 rho-bar < mu, as printed", partial(check_constant, with_c=False)),
         reason="2 rho-bar < mu should read 2 rho-bar c < mu, with c from (37); where c > 1, as for a plant with large "
         "A, (38) fails with the printed choice.",
+        uses=("eq-33", "eq-36"),
     ),
     _step(
         "lemma-2.conclusion",
@@ -405,6 +435,7 @@ CLAIMS: tuple[Claim, ...] = (
         reason="The right side of (38) is not negative for all large k and x(k) != 0: V3 rises whenever r(k+1) is "
         "large beside x(k). What follows, with V3 <= s (x'x + r'r), is V3+ <= (1 - kappa/s) V3 + delta(k) and "
         "delta(k) -> 0, and such a sequence goes to zero.",
+        uses=("assumption-5", "eq-38", "lemma-1.a.value", "lemma-2.positive"),
     ),
     _claim(
         "lemma-2.input",
@@ -417,5 +448,6 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("r(k) left out of the bound", partial(along, partial(steps.input_by_gains, with_r=False))),
         reason="V3(0, p_3) = 0 holds for r = 0 only; otherwise it is r'S_5 r. The input goes to zero because "
         "u = K_3 x + K_4 r with bounded gains.",
+        uses=("assumption-5", "lemma-1.a", "lemma-2.conclusion"),
     ),
 )

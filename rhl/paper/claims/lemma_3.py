@@ -13,7 +13,12 @@ from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.lemma_1 import random_maps, random_weight
 from rhl.problems import V1, V2
 
-_claim = partial(Claim, page="notebooks/07-lemma-3.ipynb", test="tests/paper/claims/test_lemma_3.py")
+_claim = partial(
+    Claim,
+    page="notebooks/07-lemma-3.ipynb",
+    test="tests/paper/claims/test_lemma_3.py",
+    proof="notebooks/07-lemma-3.ipynb#the-proof-step-by-step",
+)
 _ROUNDING = 1e-9
 
 
@@ -134,6 +139,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_bound,
         control=Control("Gamma a thousand times too small", lambda effort: check_bound(effort, 1e-3)),
+        uses=("assumption-3", "eq-5", "eq-39"),
     ),
     _claim(
         "lemma-3.quarter",
@@ -144,6 +150,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_quarter,
         control=Control("a constant smaller by 1 in 25", lambda effort: check_quarter(effort, 0.24)),
+        uses=("assumption-3", "eq-39"),
+        proof="notebooks/07-lemma-3.ipynb#lemma-3-quarter",
     ),
     _claim(
         "eq-12",
@@ -154,6 +162,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_bound,
         control=Control("Gamma a thousand times too small", lambda effort: check_bound(effort, 1e-3)),
+        uses=("lemma-3",),
     ),
     _claim(
         "eq-39",
@@ -164,5 +173,6 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_step,
         control=Control("Gamma a thousand times too small", lambda effort: check_step(effort, 1e-3)),
+        uses=("assumption-3", "eq-3", "eq-5", "eq-10"),
     ),
 )

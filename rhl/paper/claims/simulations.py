@@ -297,6 +297,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq:overall_scheme",
         "The overall scheme as a block diagram.",
         reason="A drawing; the book draws it anew and the library runs it.",
+        kind="definition",
     ),
     _figure(
         2,

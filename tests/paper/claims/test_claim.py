@@ -75,6 +75,8 @@ def test_verdicts(changes, verdict, as_recorded):
         ({"reason": "r"}, "must give a reason just where"),
         ({"recorded": "refuted"}, "must give a reason just where"),
         ({"recorded": "holds-corrected", "reason": "r"}, "must have a corrected check"),
+        ({"kind": "hypothesis", "uses": ("y",)}, "is a hypothesis, which nothing proves"),
+        ({"kind": "definition", "proof": "p#proof"}, "is a definition, which nothing proves"),
     ],
 )
 def test_claims_that_could_lie_are_refused(changes, sentence):
