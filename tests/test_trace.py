@@ -82,7 +82,7 @@ def test_margins(trace):
 def test_s_plus_is_that_of_the_maps_that_plans_used(trace, robot):
     for run in (trace, robot):
         assert run.s_plus.shape == (len(run),)
-        for k in (0, 5, 13):
+        for k in (0, 2, len(run) - 1):
             problem = run.steps[k].problem
             assert run.s_plus[k] == pytest.approx(float(s_plus(problem.model, problem.horizon)), rel=1e-9)
 
