@@ -44,6 +44,7 @@ CORE = [
     "memory",
     "units",
     "controllability",
+    "family",
     "_riccati",
     "problems",
     "_bounded",
@@ -86,8 +87,12 @@ PAPER = [
             "lemma_5",
             "lemma_6",
             "theorem_1",
+            "contraction",
+            "theorem_1_star",
             "theorem_2",
             "theorem_3",
+            "theorem_3_prime",
+            "theorem_4",
             "simulations",
         )
     ),
@@ -134,6 +139,7 @@ ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
 FORBIDDEN = {
     "controllability": {"estimator", "losses", *PLANTS},
+    "family": {"estimator", "memory", "losses", "lifting", *PLANTS},
     "horizon": {"estimator", "controllability", "lifting", *PLANTS},
     "scheme": PLANTS,
     "estimator": {"lifting", *PLANTS},
