@@ -17,6 +17,7 @@ from rhl.paper.claims import (
     simulations,
     theorem_1,
     theorem_2,
+    theorem_2_iii,
     theorem_3,
 )
 from rhl.paper.claims.claim import Claim, Effort, Judgement, judge
@@ -35,6 +36,7 @@ CLAIMS: tuple[Claim, ...] = tuple(
         lemma_4,
         lemma_5,
         theorem_2,
+        theorem_2_iii,
         lemma_6,
         theorem_3,
         simulations,
