@@ -79,6 +79,7 @@ PAPER = [
             "estimator_setup",
             "growing",
             "spoiling",
+            "lemma_4_fails",
             "kalman",
             "assumption_4",
             "lemma_1",
