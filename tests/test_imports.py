@@ -80,6 +80,8 @@ PAPER = [
             "growing",
             "spoiling",
             "lemma_4_fails",
+            "varying_loss",
+            "window_proof",
             "kalman",
             "assumption_4",
             "lemma_1",
