@@ -90,6 +90,7 @@ PAPER = [
             "lemma_4",
             "lemma_5",
             "theorem_2_iii",
+            "remark_4",
             "lemma_6",
             "theorem_1",
             "theorem_2",
