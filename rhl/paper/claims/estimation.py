@@ -9,6 +9,7 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.estimator import ProximalEstimator
+from rhl.losses import Convex, Varying, WeightedSquares
 from rhl.model import SignalModel
 
 
@@ -38,7 +39,7 @@ class Estimates:
 
     ``x`` (K+1, n): x(0), ..., x(K); zero before. ``u`` (K, q): u(0), ..., u(K-1); zero before.
     ``window``: the paper's N bar. ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
-    ``models``: theta~(0), ..., theta~(K).
+    ``models``: theta~(0), ..., theta~(K). ``mixing`` (K,): lambda_1, ..., lambda_K; zero where left out.
     """
 
     x: Array
@@ -46,6 +47,7 @@ class Estimates:
     window: int
     best: Sequence[SignalModel]
     models: Sequence[SignalModel]
+    mixing: Array | None = None
 
     def data(self, k: int) -> tuple[Array, Array]:
         """Return x(k), ..., x(k-window) and u(k-1), ..., u(k-window)."""
@@ -73,18 +75,26 @@ class Estimates:
         return np.array([np.linalg.norm(theta - model.theta) for model in self.models])
 
 
-def estimate(x: Array, u: Array, initial: SignalModel, window: int, mixing: Array, first: int = 1) -> Estimates:
-    """Run the estimator (15) with squares on recorded x, shape (K+1, n), and u, shape (K, q).
+def estimate(
+    x: Array,
+    u: Array,
+    initial: SignalModel,
+    window: int,
+    mixing: Array,
+    first: int = 1,
+    loss: Convex | Varying | None = None,
+) -> Estimates:
+    """Run the estimator (15) on recorded x, shape (K+1, n), and u, shape (K, q).
 
-    ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K.
+    ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K. ``loss``: c; squares where left out.
     ``first``: the first k at which the estimate may move; ``window`` keeps the zeros before k = 0 out of it.
     """
-    estimator = ProximalEstimator(window)
+    estimator = ProximalEstimator(window, loss=WeightedSquares() if loss is None else loss)
     best: list[SignalModel] = []
     models = [initial]
-    record = Estimates(x, u, window, best, models)
+    record = Estimates(x, u, window, best, models, mixing)
     for k, lam in enumerate(mixing, start=1):
-        best.append(estimator.minimise(models[-1], *record.data(k)) if k >= first else models[-1])
+        best.append(estimator.minimise(models[-1], *record.data(k), k) if k >= first else models[-1])
         models.append(best[-1].mix(models[-1], lam))
     return record
 
@@ -103,18 +113,19 @@ def draw_model(rng: np.random.Generator, n: int, q: int, radius: float = 0.9) ->
     return SignalModel(A * radius / max(abs(np.linalg.eigvals(A))), rng.standard_normal((n, q)))
 
 
-def spiral_estimates(steps: int, window: int = 1) -> Estimates:
+def spiral_estimates(steps: int, window: int = 1, exponent: float = 0.75) -> Estimates:
     r"""Run the estimator on data of :math:`A = 0,\ B = 0`, with inputs nearly orthogonal to its own estimate of B.
 
     The signal is a number that stays zero, the inputs are unit vectors :math:`d_k` of the plane with
-    :math:`\tilde B(k-1) d_k = \delta_k |\tilde B(k-1)|`, :math:`\delta_k = k^{-3/4}/2`. Assumption 7 holds.
+    :math:`\tilde B(k-1) d_k = \delta_k |\tilde B(k-1)|`, :math:`\delta_k = k^{-e}/2`. Assumption 7 holds.
+    ``exponent``: e; above one the angles have a finite sum.
     """
     estimator = ProximalEstimator(window)
     models, u = [SignalModel(np.zeros((1, 1)), np.array([[1.0, 0.0]]))], np.zeros((steps, 2))
     record = Estimates(np.zeros((steps + 1, 1)), u, window, models[1:], models)
     for k in range(1, steps + 1):
         b = models[-1].B[0] / np.hypot(*models[-1].B[0])
-        delta = 0.5 * k**-0.75
+        delta = 0.5 * k**-exponent
         u[k - 1] = delta * b + np.sqrt(1 - delta**2) * np.array([b[1], -b[0]])
         models.append(estimator.minimise(models[-1], *record.data(k)))
     return Estimates(record.x, u, window, models[1:], models)
@@ -159,3 +170,27 @@ def omegas(record: Estimates, k: int, N: int, truth: SignalModel) -> Array:
         terms = (newest[:i], 2 * move[:i] * free[:i], move[:i] * (1 + 2 * lags * largest))
         found = np.maximum(found, [float(np.sum(c * term)) for term in terms])
     return found
+
+
+def omega_sums(record: Estimates, N: int, truth: SignalModel, lambda_max: float) -> tuple[Array, Array]:
+    r"""Return the sums of the three omegas over k, from the window on, and bounds of them that the data obey.
+
+    Let T be the bound :math:`|\theta-\tilde\theta(0)|^2/(1-\lambda_{max})` of all squared steps and residuals, and a,
+    f, b the largest norms of :math:`A(k)^i`, :math:`A^i`, :math:`A^iB` for i < N. As :math:`\sigma_j` is a sum of at
+    most j + 1 steps, the sums are at most
+
+    .. math:: 2N^2a^2T,\quad 4Na^2f^2S\,T,\quad 2Na^2(1+2Nb^2)S\,T,\qquad S = \sum_{j<N}(j+1)^2 .
+
+    Finite sums of numbers that are not negative: the omegas tend to zero, whatever the data.
+    """
+    ks = range(record.window, len(record.u) - N + 1)
+    sums = np.sum([omegas(record, k, N, truth) for k in ks], axis=0)
+    total = record.distances(truth.theta)[0] ** 2 / (1 - lambda_max)
+    exact = truth.predictor(N)
+    a, f, b = (
+        max(float(np.max(np.linalg.norm(powers[:N], ord=2, axis=(1, 2)))) for powers in of)
+        for of in ([record.models[k].predictor(N).A for k in ks], [exact.A], [exact.B])
+    )
+    S = sum((j + 1) ** 2 for j in range(N))
+    bounds = total * a**2 * np.array([2 * N**2, 4 * N * f**2 * S, 2 * N * (1 + 2 * N * b**2) * S])
+    return sums, bounds

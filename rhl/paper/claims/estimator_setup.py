@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from rhl._checks import Array
+from rhl.basis import Terms
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting, remember
 from rhl.losses import WeightedSquares
@@ -64,10 +65,16 @@ def check_lifting(effort: Effort, start: int = 0) -> Evidence:
 
 
 def check_lifting_example(effort: Effort, entries: int = 7) -> Evidence:
-    """Count the entries of the lifting that the text gives as an example: two outputs, two lags, three products."""
-    y1, y2, old1, old2 = effort.rng("text-lifting-example").standard_normal(4)
-    lifted = np.array([y1, y2, old1, old2, y1 * y2, y1**2, y2**2])
-    return Evidence(1, float(abs(lifted.size - entries)))
+    """Lift by the text's example, two outputs at two instants and three products, and count what the library returns.
+
+    The entries are compared with the text's vector as well.
+    """
+    lifting = DelayLifting(2, 1, Terms(("y1*y2", "y1^2", "y2^2")))
+    y = effort.rng("text-lifting-example").standard_normal((2, 2))
+    lifted, (y1, y2) = lifting.lift(y, 1)[0], y[0]
+    expected = np.array([*y[0], *y[1], y1 * y2, y1**2, y2**2])
+    apart = float(np.max(np.abs(lifted - expected))) if lifted.shape == expected.shape else 1.0
+    return Evidence(1, float(abs(lifting.size(2) - entries)) + apart + abs(lifted.size - lifting.size(2)))
 
 
 def check_stacks(effort: Effort, what: str, wrong: bool = False) -> Evidence:
@@ -201,6 +208,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_estimator,
         control=Control("another weight of the proximal term", partial(check_estimator, weight=2.0)),
+        uses=("eq-16", "eq-17"),
     ),
     claim(
         "text-domain-of-g",
@@ -255,6 +263,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_least_squares,
         control=Control("another weight of the proximal term", partial(check_least_squares, weight=2.0)),
+        uses=("eq-15", "eq-17"),
     ),
     claim(
         "remark-3",
@@ -276,5 +285,6 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_powers,
         control=Control("B_i = A^(i+1) B", partial(check_powers, slip=1)),
+        proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-ii",
     ),
 )

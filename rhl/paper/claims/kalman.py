@@ -76,3 +76,12 @@ def stacked(signal: Array, m: int) -> Array:
     """Stack the last m rows at every instant, newest first; rows before the first are zero, shape (T, m d)."""
     history = np.concatenate([np.zeros((m - 1, signal.shape[1])), signal])[::-1]
     return DelayLifting(m, m).window(history, m, len(signal))[::-1]
+
+
+def draw_plant(rng: np.random.Generator, hidden_radius: float = 0.8) -> tuple[KalmanForm, LinearPlant]:
+    """Draw sizes, a plant of the form (52), and coordinates that hide its blocks."""
+    p, q = (int(size) for size in rng.integers(1, 4, 2))
+    sizes = (int(rng.integers(1, 4)), int(rng.integers(0, 3)), int(rng.integers(0, 3)))
+    form = kalman_form(rng, p, q, sizes, hidden_radius)
+    T = np.linalg.qr(rng.normal(size=form.F.shape))[0]
+    return form, form.plant(T)

@@ -1,8 +1,8 @@
-"""Lemma 5, the search for lambda, in exact arithmetic; and what it gives Theorem 2(iii)."""
+"""Lemma 5, the search for lambda, in exact arithmetic."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import combinations
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rhl.controllability import LambdaSearch, controllability_margin
-from rhl.lifting import DelayLifting
+from rhl.controllability import Count, LambdaSearch, candidates, controllability_margin
 from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence
+from rhl.paper.claims.spoiling import spoiling_pairs
 
 if TYPE_CHECKING:
     import sympy as sp
@@ -22,6 +22,9 @@ _claim = partial(Claim, page="notebooks/10-lemma-5.ipynb", test="tests/paper/cla
 
 Integers = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 Pair = tuple[Integers, Integers]
+Draw = Callable[[np.random.Generator, int, int, int], Iterator[tuple[Pair, Pair]]]
+
+_EXACT = "exact: rational numbers"
 
 
 def is_controllable(A: Any, B: Any) -> bool:
@@ -36,40 +39,54 @@ def is_controllable(A: Any, B: Any) -> bool:
     return bool(C.rank() == A.rows)
 
 
-def random_pairs(
-    rng: np.random.Generator, n: int, q: int, count: int, controllable: bool = True
-) -> Iterator[tuple[Pair, Pair]]:
-    """Yield integer pairs (A_u, B_u), not controllable, and (A_c, B_c), ``controllable`` or not (for the control).
-
-    The uncontrollable modes sit in random integer coordinates of determinant one.
-    """
+def random_pairs(rng: np.random.Generator, n: int, q: int, count: int) -> Iterator[tuple[Pair, Pair]]:
+    """Yield integer pairs (A_u, B_u), not controllable, and (A_c, B_c), controllable."""
     made = 0
     while made < count:
-        unseen, seen = _hidden_modes(rng, n, q), (rng.integers(-3, 4, (n, n)), rng.integers(-3, 4, (n, q)))
-        if not controllable:
-            seen = unseen  # every mixture is then the same uncontrollable pair
-        if is_controllable(*unseen) or is_controllable(*seen) != controllable:
+        unseen, seen = hidden_modes(rng, n, q), (rng.integers(-3, 4, (n, n)), rng.integers(-3, 4, (n, q)))
+        if is_controllable(*unseen) or not is_controllable(*seen):
             continue
         made += 1
         yield unseen, seen
 
 
-def _hidden_modes(rng: np.random.Generator, n: int, q: int) -> Pair:
-    dead = int(rng.integers(1, n + 1))
-    A, B = rng.integers(-3, 4, (n, n)), rng.integers(-3, 4, (n, q))
-    A[n - dead :, : n - dead] = 0
-    B[n - dead :] = 0
+def hidden_modes(rng: np.random.Generator, n: int, q: int) -> Pair:
+    """Draw an integer pair with modes that no input reaches, in random integer coordinates of determinant one."""
+    return next(_hidden_together(rng, n, q, 1))
+
+
+def pairs_deaf_together(rng: np.random.Generator, n: int, q: int, count: int) -> Iterator[tuple[Pair, Pair]]:
+    """Yield two different integer pairs, neither of them controllable, whose unreached modes are the same directions.
+
+    So no mixture of them is controllable: what Lemma 5 says of mixing fails.
+    """
+    made = 0
+    while made < count:
+        first, second = _hidden_together(rng, n, q, 2)
+        if all(np.array_equal(one, other) for one, other in zip(first, second, strict=True)):
+            continue
+        made += 1
+        yield first, second
+
+
+def _hidden_together(rng: np.random.Generator, n: int, q: int, count: int) -> Iterator[Pair]:
+    dead, shears = int(rng.integers(1, n + 1)), []
     for _ in range(n):  # shears keep everything an integer
         i, j = rng.choice(n, 2, replace=False) if n > 1 else (0, 0)
-        if i != j:
+        shears += [(i, j)] if i != j else []
+    for _ in range(count):
+        A, B = rng.integers(-3, 4, (n, n)), rng.integers(-3, 4, (n, q))
+        A[n - dead :, : n - dead] = 0
+        B[n - dead :] = 0
+        for i, j in shears:
             A[i] += A[j]
             A[:, j] -= A[:, i]
             B[i] += B[j]
-    return A, B
+        yield A, B
 
 
 def crossing_pairs(n: int, roots: Sequence[Fraction]) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Build the pairs that show the count to be sharp: diagonal, with every mixture that can fail failing.
+    """Build pairs with as many bad lambdas as there can be: diagonal, with every mixture that can fail failing.
 
     With A(lambda) = diag(alpha_i(lambda)) and B(lambda) = (beta_i(lambda)), all straight lines, the determinant of
     the controllability matrix is the product of all beta_i and of all alpha_j - alpha_i: n(n+1)/2 linear factors.
@@ -136,67 +153,73 @@ def degree_bound_any_minor(n: int, q: int) -> int:
 _SIZES = ((1, 1), (2, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2))
 
 
-def check_lemma(effort: Effort, controllable: bool = True) -> Evidence:
-    """Count faults of the lemma over integer pairs: degree, p(0), p(1), roots, and one good candidate in 2n^2+1.
+def check_lemma(effort: Effort, draw: Draw = random_pairs) -> Evidence:
+    """Count integer pairs for which all of 2n^2 + 1 candidates are bad, or as many are as p cannot have roots.
 
-    ``controllable``: whether (A_c, B_c) is.
+    ``draw``: the pairs that are mixed.
     """
     import sympy as sp
 
     rng, faults, cases = effort.rng("lemma-5"), 0, 0
     for n, q in _SIZES:
-        for first, second in random_pairs(rng, n, q, max(1, effort.cases // 50), controllable):
+        for first, second in draw(rng, n, q, max(1, effort.cases // 50)):
             p = polynomial(first, second)
             grid = [sp.Rational(9 * i, 10 * (2 * n * n + 2)) for i in range(1, 2 * n * n + 2)]
-            right = p.degree() <= 2 * n * n and p.eval(0) == 0 and p.eval(1) > 0
-            right = right and p.count_roots(0, 1) <= 2 * n * n
-            # The control looks at what the lemma says alone: one good candidate.
-            right = (right or not controllable) and any(p.eval(x) != 0 for x in grid)
-            faults, cases = faults + (not right), cases + 1
-    return Evidence(cases, float(faults), 0.0, "exact: rational numbers")
+            good = sum(p.eval(x) != 0 for x in grid)
+            faults, cases = faults + (good == 0 or p.degree() > 2 * n * n), cases + 1
+    return Evidence(cases, float(faults), 0.0, _EXACT)
 
 
 def check_count(effort: Effort, fewer: int = 0) -> Evidence:
-    """Count pairs for which n(n+1)/2 - fewer nonzero candidates are all bad, adversarial pairs among them.
+    """Count pairs for which n(n+1)/2 - fewer nonzero candidates are all bad, an adversary's among them.
 
-    ``fewer``: give the search that many candidates fewer; the adversary puts its roots on them.
+    The candidates are those that the library tries first; the adversary knows them. ``fewer``: try so many fewer.
     """
-    import sympy as sp
-
     rng, faults, cases = effort.rng("lemma-5.count"), 0, 0
-    for n, q in _SIZES:
-        wanted = degree_bound(n) - fewer
-        for first, second in random_pairs(rng, n, q, max(1, effort.cases // 25)):
-            columns = nice_columns(*second)
-            minor = polynomial(first, second, columns)
+    for n, q in (*_SIZES, (5, 1)):
+        if degree_bound(n) <= fewer:
+            continue  # without a candidate there is nothing to find
+        tried = library_grid(n, "sharp")[: degree_bound(n) - fewer]
+        drawn = random_pairs(rng, n, q, max(1, effort.cases // 25)) if n < 5 else iter(())
+        spoiled = [spoiling_pairs(n, library_grid(n, "sharp")[:-1])] if q == 1 else []
+        for first, second in (*drawn, *spoiled):
+            minor = polynomial(first, second, nice_columns(*second))
             right = minor.degree() <= degree_bound(n) and minor.eval(0) == 0 and minor.eval(1) != 0
-            right = right and any(minor.eval(sp.Rational(i, 10 * n * n)) != 0 for i in range(1, wanted + 1))
+            right = right and any(minor.eval(_sympy(x)) != 0 for x in tried)
             faults, cases = faults + (not right), cases + 1
-    for n in (2, 3, 4):
-        pairs = crossing_pairs(n, [Fraction(0), *(Fraction(1, 20 + i) for i in range(n - 1))])
-        p = polynomial(*pairs, columns=list(range(n)))
-        bad = sorted(root for root in sp.roots(p) if root != 0)
-        spare = [sp.Rational(1, 3 + i) for i in range(degree_bound(n))]
-        offered = (bad + [x for x in spare if x not in bad])[: degree_bound(n) - fewer]
-        faults, cases = faults + all(p.eval(x) == 0 for x in offered), cases + 1
-    return Evidence(cases, float(faults), 0.0, "exact: rational numbers")
+    return Evidence(cases, float(faults), 0.0, _EXACT)
 
 
-def check_sharp(effort: Effort, roots: int = 0) -> Evidence:
-    """See whether the crossing lines have n(n+1)/2 - 1 different bad lambdas inside (0, 1), for n = 2, ..., 5.
+def library_grid(n: int, count: Count) -> list[Fraction]:
+    """Return the library's candidates for order n as the exact numbers that they are in floating point."""
+    return [Fraction(float(x)) for x in candidates(n, 0.9, count)]
 
-    ``effort`` is not used: nothing is drawn. ``roots``: ask for that many more, which no pair can have.
+
+def check_sharp(effort: Effort, more: int = 0) -> Evidence:
+    """See whether any n(n+1)/2 - 1 candidates given beforehand can all be spoiled, for n = 2, ..., 5.
+
+    They are the first ones of the paper's grid, and random ones. ``more``: see whether so many more are spoiled.
     """
+    rng, faults, cases = effort.rng("lemma-5.sharp"), 0, 0
+    for n in range(2, 6):
+        wanted, grid = degree_bound(n) - 1, library_grid(n, "lemma")
+        for drawn in range(max(2, effort.cases // 25)):
+            at = rng.permutation(len(grid)) if drawn else np.arange(len(grid))
+            given = [grid[i] for i in at[: wanted + more]]
+            if drawn > 1:
+                given = [Fraction(int(i), 997) for i in rng.choice(np.arange(1, 897), wanted + more, replace=False)]
+            first, second = spoiling_pairs(n, given[:wanted])
+            p = polynomial(first, second, columns=list(range(n)))
+            right = is_controllable(*second) and not is_controllable(*first)
+            right = right and all(p.eval(_sympy(x)) == 0 for x in given)
+            faults, cases = faults + (not right), cases + 1
+    return Evidence(cases, float(faults), 0.0, _EXACT)
+
+
+def _sympy(x: Fraction) -> sp.Rational:
     import sympy as sp
 
-    missing = []
-    for n in range(2, 6):
-        pairs = crossing_pairs(n, [Fraction(0), *(Fraction(1, 20 + i) for i in range(n - 1))])
-        p = polynomial(*pairs, columns=list(range(n)))
-        inside = {root for root in sp.roots(p) if 0 < root < 1}
-        good = is_controllable(*pairs[1]) and not is_controllable(*pairs[0])
-        missing.append(degree_bound(n) - 1 + roots - len(inside) if good else n * n)
-    return Evidence(len(missing), float(max(missing)), 0.0, "exact: rational numbers")
+    return sp.Rational(x.numerator, x.denominator)
 
 
 def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
@@ -209,7 +232,7 @@ def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
         for first, second in random_pairs(rng, n, q, max(1, effort.cases // 50)):
             for columns in combinations(range(n * q), n):
                 excess.append(polynomial(first, second, columns).degree() - degree_bound_any_minor(n, q) + lower)
-    return Evidence(len(excess), float(max(excess)), 0.0, "exact: rational numbers")
+    return Evidence(len(excess), float(max(excess)), 0.0, _EXACT)
 
 
 def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
@@ -228,45 +251,6 @@ def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
     return Evidence(len(short), max(short), 0.0, "the margin that the search promises")
 
 
-def check_lifted_is_enough(effort: Effort, on: str) -> Evidence:
-    """Count pairs y+ = a y + b v - a b v(k-1) whose mixture the controller cannot use; all are controllable as lifted.
-
-    ``on`` {"lifted", "augmented"}: which pair the search keeps controllable.
-    """
-    rng, faults, cases = effort.rng("theorem-2.iii"), 0, 0
-    lifting = DelayLifting(1, 2)
-    for _ in range(effort.cases):
-        a, b = (int(x) for x in rng.integers(1, 5, 2) * rng.choice([-1, 1], 2))
-        estimate = SignalModel(np.array([[float(a)]]), np.array([[float(b), float(-a * b)]]))
-        previous = SignalModel(np.array([[1.0]]), np.array([[1.0, 1.0]]))
-        lam = LambdaSearch(on, "best", 0.9, 1e-9).choose(estimate, previous, lifting.augment)  # type: ignore[arg-type]
-        share = Fraction(float(lam))
-        A = [[(1 - share) * a + share, (1 - share) * (-a * b) + share], [0, 0]]
-        B = [[(1 - share) * b + share], [1]]
-        faults, cases = faults + (not is_controllable(A, B)), cases + 1
-    return Evidence(cases, float(faults), 0.0, "exact: rational numbers")
-
-
-def check_affine(effort: Effort, power: int = 1) -> Evidence:
-    """Compare the augmentation of a mixture with the mixture of the augmentations, on integers.
-
-    ``power``: mix the entries' powers instead, which is no longer affine.
-    """
-    rng, gaps = effort.rng("theorem-2.iii.affine"), []
-    for _ in range(effort.cases):
-        m, q, n = (int(size) for size in rng.integers(1, 4, 3))
-        first, second = (
-            SignalModel(rng.integers(-3, 4, (n, n)).astype(float), rng.integers(-3, 4, (n, m * q)).astype(float))
-            for _ in range(2)
-        )
-        lifting = DelayLifting(1, m)
-        mixed = first.mix(second, 0.25)
-        one = lifting.augment(SignalModel(mixed.A**power, mixed.B**power))
-        other = lifting.augment(first).mix(lifting.augment(second), 0.25)
-        gaps.append(float(max(np.max(np.abs(one.A - other.A)), np.max(np.abs(one.B - other.B)))))
-    return Evidence(len(gaps), max(gaps), 0.0, "quarters of small integers are exact")
-
-
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "lemma-5",
@@ -276,7 +260,11 @@ CLAIMS: tuple[Claim, ...] = (
         method="exact arithmetic",
         recorded="holds",
         stated=check_lemma,
-        control=Control("a pair mixed in that is not controllable", lambda effort: check_lemma(effort, False)),
+        control=Control(
+            "a pair mixed in that is different, and deaf in the same directions",
+            partial(check_lemma, draw=pairs_deaf_together),
+        ),
+        proof="notebooks/10-lemma-5.ipynb#proof-lemma-5",
     ),
     _claim(
         "lemma-5.count",
@@ -286,17 +274,20 @@ CLAIMS: tuple[Claim, ...] = (
         method="exact arithmetic",
         recorded="holds",
         stated=check_count,
-        control=Control("one candidate fewer, against an adversary", lambda effort: check_count(effort, fewer=1)),
+        control=Control("one candidate fewer, against an adversary", partial(check_count, fewer=1)),
+        proof="notebooks/10-lemma-5.ipynb#proof-count",
     ),
     _claim(
         "lemma-5.sharp",
         "Lemma 5",
         "staycontrollable",
-        "That count is sharp: there are pairs with n(n+1)/2 - 1 different bad lambdas inside (0, 1).",
+        "That count is sharp: whatever n(n+1)/2 - 1 nonzero candidates are chosen beforehand, there are pairs, the one "
+        "mixed in controllable, for which all of them are bad.",
         method="exact arithmetic",
         recorded="holds",
         stated=check_sharp,
-        control=Control("one bad lambda more asked for", lambda effort: check_sharp(effort, roots=1)),
+        control=Control("one candidate more", partial(check_sharp, more=1)),
+        proof="notebooks/10-lemma-5.ipynb#proof-sharp",
     ),
     _claim(
         "lemma-5.minors",
@@ -306,7 +297,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="exact arithmetic",
         recorded="holds",
         stated=check_any_minor,
-        control=Control("a bound lower by one", lambda effort: check_any_minor(effort, lower=1)),
+        control=Control("a bound lower by one", partial(check_any_minor, lower=1)),
     ),
     _claim(
         "lemma-5.search",
@@ -316,30 +307,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_search,
-        control=Control("no mixing", lambda effort: check_search(effort, mix=False)),
-    ),
-    _claim(
-        "theorem-2.iii",
-        "Theorem 2(iii)",
-        "xxx",
-        "Mixing by Lemma 5 keeps controllable the pair that the controller plans with.",
-        method="exact arithmetic",
-        recorded="holds-corrected",
-        stated=lambda effort: check_lifted_is_enough(effort, "lifted"),
-        corrected=lambda effort: check_lifted_is_enough(effort, "augmented"),
-        control=Control("the lifted pair searched", lambda effort: check_lifted_is_enough(effort, "lifted")),
-        reason="A controllable lifted pair, which counts past inputs as free, may have an uncontrollable augmented "
-        "pair, as y+ = a y + b v - a b v(k-1) has; the search has to look at the augmented pair, and may, for "
-        "augmentation is affine.",
-    ),
-    _claim(
-        "theorem-2.iii.affine",
-        "Theorem 2(iii)",
-        "xxx",
-        "Augmenting commutes with mixing, so that Lemma 5 applies to the augmented pair as it stands.",
-        method="exact arithmetic",
-        recorded="holds",
-        stated=check_affine,
-        control=Control("entries squared before augmenting", lambda effort: check_affine(effort, power=2)),
+        control=Control("no mixing", partial(check_search, mix=False)),
+        uses=("lemma-5",),
     ),
 )

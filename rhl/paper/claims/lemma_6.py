@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from rhl._checks import Array
-from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
-from rhl.paper.claims.kalman import KalmanForm, kalman_form, run_open_loop, stacked
+from rhl.paper.claims.kalman import draw_plant, kalman_form, run_open_loop, stacked
+from rhl.paper.claims.remark_4 import CLAIMS as REMARK
+from rhl.paper.claims.remark_4 import check_stabilizable
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import (
     inputs_to_stack,
     observability,
     observability_index,
-    pbh,
     signal_model,
     spectral_radius,
 )
@@ -26,8 +25,6 @@ _claim = partial(Claim, page="notebooks/12-lemma-6.ipynb", test="tests/paper/cla
 
 # Data of unit size pass through O and its pseudo-inverse, whose condition the construction keeps below 1e4.
 _DATA = 1e-9
-# A PBH matrix of entries near one counts as of full rank above this; the controls lie at 1e-12 and below.
-_RANK = 1e-8
 
 
 def transition_misfits(model: SignalModel, y: Array, v: Array, m: int) -> Array:
@@ -35,14 +32,6 @@ def transition_misfits(model: SignalModel, y: Array, v: Array, m: int) -> Array:
     x, u = stacked(y, m), stacked(v, m)
     gap = x[1:] - x[:-1] @ model.A.T - u[:-1] @ model.B.T
     return np.asarray(np.linalg.norm(gap, axis=1) / (1 + np.linalg.norm(x[1:], axis=1)))
-
-
-def _draw(rng: np.random.Generator, hidden_radius: float = 0.8) -> tuple[KalmanForm, LinearPlant]:
-    p, q = (int(size) for size in rng.integers(1, 4, 2))
-    sizes = (int(rng.integers(1, 4)), int(rng.integers(0, 3)), int(rng.integers(0, 3)))
-    form = kalman_form(rng, p, q, sizes, hidden_radius)
-    T = np.linalg.qr(rng.normal(size=form.F.shape))[0]
-    return form, form.plant(T)
 
 
 def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) -> Evidence:
@@ -54,7 +43,7 @@ def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) ->
     rng = effort.rng("lemma-6.data")
     misfits = []
     for _ in range(effort.cases):
-        form, plant = _draw(rng)
+        form, plant = draw_plant(rng)
         F, G, H = form.observable
         m = form.F.shape[0] + int(rng.integers(0, 2))
         v = rng.normal(size=(m + 12, plant.q))
@@ -78,24 +67,30 @@ def check_index(effort: Effort, shorten: int = 0) -> Evidence:
     return Evidence(len(misfits), worst_of(misfits), _DATA, "rounding through O and its pseudo-inverse")
 
 
-def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = False) -> Evidence:
-    """PBH test of the pair (55), lifted or augmented: how far below the threshold its smallest singular value falls.
+def check_start(effort: Effort, earlier: int = 0) -> Evidence:
+    """(18) with zeros before k = 0, for the pair that predicts from the latest stacks of the observability index alone.
 
-    ``augmented``: test Remark 4's augmented pair.
-    ``deaf``: cut the inputs off the unstable block, so that the plant is not stabilizable.
+    ``earlier``: look so many transitions earlier than from that index less one on.
     """
-    rng = effort.rng("lemma-6.stabilizable")
-    short = []
+    rng, misfits = effort.rng("lemma-6.start"), []
     for _ in range(effort.cases):
-        form, _ = _draw(rng)
-        if deaf:
-            form = replace(form, G=np.where(np.arange(len(form.G))[:, None] < form.sizes[0], 0.0, form.G))
-        F, G, H = form.observable
-        m = form.F.shape[0]
-        model = signal_model(F, G, H, m)
-        model = DelayLifting(m, m).augment(model) if augmented else model
-        short.append(_RANK - pbh(model.A, model.B, least_modulus=1.0 - 1e-9))
-    return Evidence(len(short), worst_of(short), 0.0, f"full rank means a smallest singular value above {_RANK:g}")
+        form = kalman_form(rng, 2, 1, (4, 0, 1))
+        (F, G, H), m = form.observable, 5
+        index = observability_index(F, H)
+        v = rng.normal(size=(m + 12, 1))
+        y = run_open_loop(form.plant(np.eye(5)), rng.normal(size=5), v)
+        model = latest_pair(F, G, H, index, m)
+        misfits.append(float(np.max(transition_misfits(model, y, v, m)[index - 1 - earlier :])))
+    return Evidence(len(misfits), worst_of(misfits), _DATA, "rounding through O and its pseudo-inverse")
+
+
+def latest_pair(F: Array, G: Array, H: Array, index: int, m: int) -> SignalModel:
+    """Return the pair that predicts y(k+1) from the latest ``index`` outputs and inputs, and moves the others along."""
+    p, q = H.shape[0], G.shape[1]
+    short = signal_model(F, G, H, index)
+    A, B = np.eye(m * p, k=-p), np.zeros((m * p, m * q))
+    A[:p, : index * p], B[:p, : index * q] = short.A[:p], short.B[:p]
+    return SignalModel(A, B)
 
 
 def check_feedback_step(effort: Effort, as_printed: bool) -> Evidence:
@@ -208,48 +203,10 @@ def check_stack(effort: Effort, shift: int = 0) -> Evidence:
     return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of a dozen steps")
 
 
-def check_chain(effort: Effort, offset: int) -> Evidence:
-    """Run the chain zeta_1+ = zeta_2, ..., zeta_{m-1}+ = v(k) of Remark 4 and see what zeta_1(k) is.
-
-    ``offset``: compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 as is right.
-    """
-    rng = effort.rng("remark-4.chain")
-    gaps = []
-    for _ in range(effort.cases):
-        m = int(rng.integers(2, 7))
-        v = rng.normal(size=20)
-        chain = np.zeros(m - 1)
-        for k in range(20):
-            if k - m + offset >= 0:
-                gaps.append(abs(float(chain[0] - v[k - m + offset])))
-            chain = np.append(chain[1:], v[k])
-    return Evidence(len(gaps), worst_of(gaps), 0.0, "only copies are made")
-
-
-def check_augmented(effort: Effort, depth: int = 0) -> Evidence:
-    """Remark 4: mp + (m-1)q states, driven by v(k) alone, give the same x(k) as the lifted pair driven by u(k).
-
-    ``depth``: carry that many past inputs fewer.
-    """
-    rng = effort.rng("remark-4")
-    gaps = []
-    for _ in range(effort.cases):
-        p, q, m = (int(size) for size in rng.integers((1, 1, 2), (4, 4, 5)))
-        model = SignalModel(rng.normal(size=(m * p, m * p)) / m, rng.normal(size=(m * p, m * q)))
-        kept = SignalModel(model.A, model.B[:, : (m - depth) * q])
-        augmented = DelayLifting(m, m - depth).augment(kept)
-        wanted = m * p + (m - 1 - depth) * q
-        v = rng.normal(size=(10, q))
-        x, X = np.zeros(m * p), np.zeros(wanted)
-        for row, u in zip(v, stacked(v, m), strict=True):
-            x, X = model.A @ x + model.B @ u, augmented.A @ X + augmented.B @ row
-            gaps.append(float(np.max(np.abs(x - X[: m * p])) / (1 + np.max(np.abs(x)))))
-    return Evidence(len(gaps), worst_of(gaps), 1e-12, "rounding of ten steps")
-
-
 _ZERO_HISTORY = (
-    "With signals set to zero before k = 0, as the paper does, the first m - 1 transitions are no transitions of the "
-    "plant; (18) holds from k = m - 1 on, once the stacks are full of measurements."
+    "With signals set to zero before k = 0, as the paper does, at most the first m - 1 transitions break (18): it "
+    "holds from k = m - 1 on, once the stacks are full of measurements, and for a suitable pair from the observability "
+    "index less one on (lemma-6.start)."
 )
 
 CLAIMS: tuple[Claim, ...] = (
@@ -264,6 +221,8 @@ CLAIMS: tuple[Claim, ...] = (
         corrected=check_data,
         control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
         reason=_ZERO_HISTORY,
+        uses=("eq-55",),
+        proof="notebooks/12-lemma-6.ipynb#proof-lemma-6",
     ),
     _claim(
         "lemma-6.index",
@@ -274,6 +233,20 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_index,
         control=Control("one stacked output fewer than that index", lambda effort: check_index(effort, 1)),
+        uses=("eq-55",),
+        proof="notebooks/12-lemma-6.ipynb#proof-lemma-6",
+    ),
+    _claim(
+        "lemma-6.start",
+        "Lemma 6",
+        "finalstep",
+        "With zeros before k = 0, a suitable pair obeys (18) from the observability index less one on, whatever m is.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_start,
+        control=Control("one transition earlier", partial(check_start, earlier=1)),
+        uses=("lemma-6.index",),
+        proof="notebooks/12-lemma-6.ipynb#proof-start",
     ),
     _claim(
         "lemma-6.stabilizable",
@@ -283,9 +256,21 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_stabilizable,
-        control=Control(
-            "an unstable block that no input reaches", lambda effort: check_stabilizable(effort, deaf=True)
-        ),
+        control=Control("an unstable block that no input reaches", partial(check_stabilizable, deaf=True)),
+        uses=("eq-53", "eq-55"),
+        proof="notebooks/12-lemma-6.ipynb#proof-stabilizable",
+    ),
+    _claim(
+        "lemma-6.index.stabilizable",
+        "Lemma 6",
+        "finalstep",
+        "With m equal to the observability index the pair (A, B) of equation (55) is stabilizable, too.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=partial(check_stabilizable, index=True),
+        control=Control("an unstable block that no input reaches", partial(check_stabilizable, index=True, deaf=True)),
+        uses=("eq-53", "eq-55"),
+        proof="notebooks/12-lemma-6.ipynb#proof-stabilizable",
     ),
     _claim(
         "lemma-6.proof",
@@ -298,6 +283,7 @@ CLAIMS: tuple[Claim, ...] = (
         corrected=lambda effort: check_feedback_step(effort, as_printed=False),
         control=Control("w(k) as printed", lambda effort: check_feedback_step(effort, as_printed=True)),
         reason="w_k = O'x_k mixes in past inputs; what moves so is O^+ (x(k) - R u(k-1)), which is z_s(k-m+1).",
+        uses=("eq-54",),
     ),
     _claim(
         "lemma-6.converse",
@@ -308,43 +294,9 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_converse,
         control=Control("an unobservable block that is unstable", lambda effort: check_converse(effort, 1.05)),
+        uses=("eq-52", "eq-54"),
     ),
-    _claim(
-        "remark-4",
-        "Remark 4",
-        "intchain",
-        "Carrying m - 1 past inputs as states gives a model of size mp + (m-1)q whose only input is v(k).",
-        method="numerical sampling",
-        recorded="holds",
-        stated=check_augmented,
-        control=Control("a chain that is one input too short", lambda effort: check_augmented(effort, depth=1)),
-    ),
-    _claim(
-        "remark-4.chain",
-        "Remark 4",
-        "intchain",
-        "The chain's first state zeta_1(k) is the oldest input that it carries.",
-        method="exact arithmetic",
-        recorded="holds-corrected",
-        stated=lambda effort: check_chain(effort, 0),
-        corrected=lambda effort: check_chain(effort, 1),
-        control=Control("the chain read one step too early", lambda effort: check_chain(effort, 2)),
-        reason="zeta_{m-2}+ = zeta_m should read zeta_{m-2}+ = zeta_{m-1}, and then zeta_1(k) is v(k-m+1), not v(k-m); "
-        "the appendix uses m states, for which v(k-m) is right, but one more than needed.",
-    ),
-    _claim(
-        "remark-4.stabilizable",
-        "Remark 4",
-        "intchain",
-        "Augmenting the pair of equation (55) keeps it stabilizable.",
-        method="numerical sampling",
-        recorded="holds",
-        stated=lambda effort: check_stabilizable(effort, augmented=True),
-        control=Control(
-            "an unstable block that no input reaches",
-            lambda effort: check_stabilizable(effort, augmented=True, deaf=True),
-        ),
-    ),
+    *REMARK,
     _claim(
         "eq-52",
         "Equation 52",
@@ -366,6 +318,8 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control(
             "a leak of one percent from the block into the output", lambda effort: check_subsystem(effort, 0.01)
         ),
+        uses=("eq-52",),
+        proof="notebooks/12-lemma-6.ipynb#proof-lemma-6",
     ),
     _claim(
         "eq-54",
@@ -376,6 +330,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_stack,
         control=Control("the state one step later", lambda effort: check_stack(effort, 1)),
+        uses=("eq-53",),
+        proof="notebooks/12-lemma-6.ipynb#proof-lemma-6",
     ),
     _claim(
         "eq-55",
@@ -386,5 +342,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_data,
         control=Control("the pair of a plant with a slightly larger gain", lambda e: check_data(e, detune=1e-3)),
+        uses=("eq-54",),
+        proof="notebooks/12-lemma-6.ipynb#proof-lemma-6",
     ),
 )

@@ -9,9 +9,11 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from rhl.losses import divergence
+from rhl.paper.claims import convexity, lemma_4_fails
 from rhl.paper.claims.claim import Effort, judge
-from rhl.paper.claims.convexity import concave_witness, convexity_excess
+from rhl.paper.claims.convexity import concave_witness, convexity_excess, middle_excess
 from rhl.paper.claims.lemma_4 import CLAIMS
+from rhl.paper.claims.lemma_4_fails import check_convergence, check_limit_outside, path_growth
 from rhl.paper.claims.proximal import (
     SHAPES,
     Cosh,
@@ -181,3 +183,80 @@ def test_run_measures_its_path():
 def test_claim_comes_out_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))
     assert judgement.as_recorded, judgement
+
+
+# ---------------------------------------------------------------- what the checks are seen to reject
+
+
+def test_paths_that_shrink_and_paths_that_do_not():
+    k = np.arange(1, 4097)
+    for power, grows in ((0.75, True), (1.25, False), (2.0, False)):
+        points = np.cumsum(k**-power)[:, None]
+        assert (path_growth(points) > 0) == grows
+    assert path_growth(np.ones((100, 2))) == -1
+    assert path_growth(0.5 ** k[:200, None]) == -1
+
+
+def test_a_limit_in_x_is_not_called_outside(monkeypatch):
+    """Functions that fade by a tenth only: the limit is another, below 0.069, and the enclosure says so."""
+    assert check_limit_outside(Effort(), Fraction(9, 10)).worst > 0.06
+    assert shrinking_limit(Fraction(9, 10), 60)[1] < Fraction(1, 1000)
+    # An enclosure that is too wide was taken for a failure of the control; it is no evidence.
+    monkeypatch.setattr(lemma_4_fails, "shrinking_limit", lambda ratio, steps: (Fraction(0), Fraction(1)))
+    assert not check_limit_outside(Effort(), Fraction(1)).conclusive
+
+
+def test_slow_convergence_is_not_taken_for_none():
+    """x^2 / (k + 1) brings the iterate to zero as 2 / k^2: far from rounding after a hundred steps, and yet to X."""
+    run, later = lemma_4_fails.returning_runs()[1]
+    assert np.linalg.norm(run.centres[100]) > 1e-4
+    assert later == np.inf
+    assert check_convergence(Effort(), failing=False).passes
+
+
+def test_a_run_that_is_too_short_to_tell_is_no_evidence(monkeypatch):
+    short = iterate(
+        [Ridge(np.ones(1), 0.0, weight=1 / (k + 1)) for k in range(50)], Squares(0.5), np.ones(1), np.zeros(50)
+    )
+    monkeypatch.setattr(lemma_4_fails, "returning_runs", lambda: [(short, np.inf)])
+    assert not check_convergence(Effort(), failing=False).conclusive
+
+
+def test_what_later_steps_take_is_a_bound():
+    """The limits of both counterexamples from runs that are much longer."""
+    (fading, rest), (turning, later) = lemma_4_fails.failing_runs()
+    limit = float(shrinking_limit(Fraction(1, 2), 200)[0])
+    assert fading.centres[-1, 0] * (1 - rest) <= limit * (1 + 1e-12)
+    end = tangential_turns(1_000_000)[0][-1]
+    assert np.linalg.norm(turning.centres[-1]) * (1 - later) < end < np.linalg.norm(turning.centres[-1])
+
+
+def test_parted_lines_are_never_all_near():
+    points = np.random.default_rng(0).uniform(-2, 2, (200, 2))
+    lines = lemma_4_fails.parted_run().functions
+    assert min(max(abs(float(f.a @ x) - f.b) for f in lines) for x in points) >= 0.5
+
+
+def test_a_wrong_distance_is_noticed(monkeypatch):
+    """D with its arguments exchanged is convex in its second for every g: the witness then finds nothing."""
+
+    def exchanged(expression, y, x, at, h):
+        slope = expression.diff(y).subs(y, x)
+
+        def D(of):
+            return expression.subs(y, of) - expression.subs(y, x) - (of - x) * slope
+
+        return float((D(at) - (D(at - h) + D(at + h)) / 2).evalf(30))
+
+    assert convexity.check_only_quadratics(Effort()).passes
+    monkeypatch.setattr(convexity, "middle_excess", exchanged)
+    assert not convexity.check_only_quadratics(Effort()).passes
+
+
+def test_a_witness_elsewhere_shows_nothing():
+    import sympy as sp
+
+    y, at, h = sp.Symbol("y", real=True), sp.Rational(3, 2), sp.Rational(1, 10)
+    assert middle_excess(sp.exp(y), y, sp.Integer(4), at, h) > 0
+    assert middle_excess(sp.exp(y), y, sp.Integer(1), at, h) < 0
+    assert middle_excess(y**2, y, sp.Integer(100), at, h) < 0

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rhl.controllability import LambdaSearch, candidates
 from rhl.errors import LostControllabilityError
 from rhl.model import SignalModel
-from rhl.paper.claims import lemma_5
+from rhl.paper.claims import lemma_5, spoiling
 from rhl.paper.claims.claim import Effort, judge
 
 x = sp.Symbol("lambda")
@@ -90,3 +90,66 @@ def test_search_without_a_controllable_partner_says_so():
     dead = SignalModel(np.eye(2), np.zeros((2, 1)))
     with pytest.raises(LostControllabilityError, match="no lambda in"):
         LambdaSearch("lifted").choose(dead, dead, lambda model: model)
+
+
+@settings(max_examples=15)
+@given(st.integers(1, 4), st.randoms(use_true_random=False))
+def test_any_candidates_can_be_spoiled(n, random):
+    """Positive ones, negative ones, beyond one: all but 0 and 1."""
+    wanted = lemma_5.degree_bound(n) - 1
+    given_ = [Fraction(k, 10) for k in random.sample([k for k in range(-20, 30) if k not in (0, 10)], wanted)]
+    first, second = spoiling.spoiling_pairs(n, given_)
+    p = lemma_5.polynomial(first, second, columns=list(range(n)))
+    roots = {sp.Rational(root.numerator, root.denominator) for root in given_} | {sp.Integer(0)}
+    assert {root for root in sp.roots(p)} == roots
+    assert p.degree() == lemma_5.degree_bound(n)
+    assert lemma_5.is_controllable(*second)
+
+
+def test_spoiled_mixtures_are_not_controllable_by_rank():
+    given_ = [Fraction(1, 5), Fraction(1, 3), Fraction(1, 2), Fraction(3, 5), Fraction(4, 5)]
+    first, second = spoiling.spoiling_pairs(3, given_)
+    for share in (*given_, Fraction(7, 10)):
+        A, b = (
+            [[(1 - share) * x + share * y for x, y in zip(*rows, strict=True)] for rows in zip(*of, strict=True)]
+            for of in zip(first, second, strict=True)
+        )
+        assert lemma_5.is_controllable(A, b) == (share not in given_)
+
+
+@pytest.mark.parametrize("given_", [[Fraction(1, 2)], [Fraction(1, 2)] * 2, [Fraction(1, 2), Fraction(1)]])
+def test_candidates_that_cannot_be_spoiled_so(given_):
+    with pytest.raises(ValueError, match="2 candidates are wanted, all different, none of them 0 or 1"):
+        spoiling.spoiling_pairs(2, given_)
+
+
+@pytest.mark.parametrize(("n", "q"), [(1, 1), (2, 1), (3, 2)])
+def test_pairs_that_are_deaf_together_differ_and_stay_deaf(n, q):
+    for first, second in lemma_5.pairs_deaf_together(np.random.default_rng(n), n, q, 5):
+        assert any(not np.array_equal(one, other) for one, other in zip(first, second, strict=True))
+        mixed = [one + 2 * other for one, other in zip(first, second, strict=True)]
+        assert not any(lemma_5.is_controllable(*pair) for pair in (first, second, mixed))
+
+
+def test_a_minor_of_another_pair_is_noticed(monkeypatch):
+    """The determinant of a mixture with the shares squared: its degree doubles, and the adversary is met elsewhere."""
+    polynomial = lemma_5.polynomial
+
+    def squared(first, second, columns=None):
+        p = polynomial(first, second, columns)
+        return sp.Poly(p.as_expr().subs(x, x**2), x)
+
+    monkeypatch.setattr(lemma_5, "polynomial", squared)
+    assert not lemma_5.check_sharp(Effort(0, 10)).passes
+    assert not lemma_5.check_count(Effort(0, 10)).passes
+
+
+def test_an_adversary_that_offers_roots_of_its_own_is_noticed(monkeypatch):
+    """Pairs with as many bad lambdas, but at places of their own: they spoil no grid that was chosen beforehand."""
+
+    def elsewhere(n, given_):
+        return lemma_5.crossing_pairs(n, [Fraction(0), *(Fraction(1, 20 + i) for i in range(n - 1))])
+
+    monkeypatch.setattr(lemma_5, "spoiling_pairs", elsewhere)
+    assert not lemma_5.check_sharp(Effort(0, 10)).passes
+    assert lemma_5.check_count(Effort(0, 10), fewer=1).passes  # so the control would not trip

@@ -1,13 +1,16 @@
 """Lemma 6 and Remark 4: the pair (55) against python-control, exact small cases, and the claims as recorded."""
 
+from fractions import Fraction
+
 import control
 import numpy as np
 import pytest
+import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rhl.lifting import DelayLifting
-from rhl.paper.claims import kalman, lemma_6
+from rhl.paper.claims import kalman, lemma_6, remark_4
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import analysis
 
@@ -99,3 +102,53 @@ def test_first_transitions_fit_no_pair_at_all():
 
     assert misfit(2) < ROUNDING
     assert misfit(0) > 1e-6
+
+
+def test_latest_pair_by_hand():
+    """z+ = a z + b v, y = z: index one; y(k+1) from the latest alone, whatever is stacked."""
+    model = lemma_6.latest_pair(np.array([[0.5]]), np.array([[2.0]]), np.array([[1.0]]), 1, 3)
+    np.testing.assert_allclose(model.A, [[0.5, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_allclose(model.B, [[2, 0, 0], [0, 0, 0], [0, 0, 0]], atol=1e-15)
+
+
+def test_the_pair_of_55_breaks_more_of_the_first_transitions_than_it_must():
+    rng = np.random.default_rng(2)
+    form = kalman.kalman_form(rng, 2, 1, (4, 0, 1))
+    (F, G, H), m = form.observable, 5
+    v = rng.normal(size=(20, 1))
+    y = kalman.run_open_loop(form.plant(np.eye(5)), rng.normal(size=5), v)
+    misfits = [
+        lemma_6.transition_misfits(model, y, v, m)
+        for model in (analysis.signal_model(F, G, H, m), lemma_6.latest_pair(F, G, H, 2, m))
+    ]
+    assert [int(np.flatnonzero(of > 1e-6)[-1]) for of in misfits] == [3, 0]
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "stabilizable"),
+    [
+        ([[2, 0], [0, Fraction(1, 2)]], [[1], [0]], True),
+        ([[2, 0], [0, 1]], [[1], [0]], False),
+        ([[Fraction(1, 2)]], [[0]], True),
+    ],
+)
+def test_stabilizable_exactly(A, B, stabilizable):
+    assert remark_4.stabilizable_exactly(sp.Matrix(A), sp.Matrix(B)) == stabilizable
+
+
+def test_stabilizable_exactly_wants_rational_eigenvalues():
+    with pytest.raises(ValueError, match="rational"):
+        remark_4.stabilizable_exactly(sp.Matrix([[0, 2], [1, 0]]), sp.Matrix([[0], [0]]))
+
+
+def test_numbers_of_the_second_reading():
+    """(1.2, [1, -1.2]): 1.56 for the lifted pair and rounding for the augmented one, at the mode 1.2."""
+    lifted = lemma_6.SignalModel(np.array([[1.2]]), np.array([[1.0, -1.2]]))
+    augmented = DelayLifting(1, 2).augment(lifted)
+    assert analysis.pbh(lifted.A, lifted.B, 1.0) == pytest.approx(1.562, abs=1e-3)
+    assert analysis.pbh(augmented.A, augmented.B, 1.0) < 1e-15
+
+
+def test_a_case_that_says_nothing_of_augmentation_is_no_evidence(monkeypatch):
+    monkeypatch.setattr(remark_4, "stabilizable_exactly", lambda A, B: False)
+    assert not remark_4.check_every_pair(Effort()).conclusive

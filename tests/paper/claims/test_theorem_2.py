@@ -5,11 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rhl.basis import Terms
+from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
+from rhl.paper.claims import estimator_setup, theorem_2, window_proof
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.estimation import (
     draw_model,
     estimate,
+    omega_sums,
     omegas,
     prediction_errors,
     regressor_matrix,
@@ -19,7 +23,8 @@ from rhl.paper.claims.estimation import (
     trajectory,
 )
 from rhl.paper.claims.proximal import tangential_turns
-from rhl.paper.claims.theorem_2 import CLAIMS, check_prehistory, example_record, example_transitions, window_gap
+from rhl.paper.claims.theorem_2 import CLAIMS, check_prehistory, example_record, example_transitions
+from rhl.paper.claims.window_proof import check_window, window_gap
 from rhl.paper.published import linear_example
 from rhl.simulation import simulate
 
@@ -157,3 +162,73 @@ def test_first_transitions_of_the_linear_example(example):
 def test_claim_comes_out_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))
     assert judgement.as_recorded, judgement
+
+
+# ---------------------------------------------------------------- what the checks are seen to reject
+
+
+def test_a_wrong_mixture_is_noticed_in_47(monkeypatch):
+    """The shares of old and new exchanged: the residuals that were read off theta~(k) itself could not show it."""
+    mix = SignalModel.mix
+    monkeypatch.setattr(SignalModel, "mix", lambda self, other, lam: mix(self, other, 1 - lam))
+    assert not check_window(Effort(0, 10), equation=47).passes
+
+
+def test_an_estimator_that_does_not_fit_is_noticed_in_47(monkeypatch):
+    """Then (47) still holds as an identity, but its residuals do not tend to zero."""
+    stuck = lambda x, u, initial, window, mixing, first: estimate(  # noqa: E731
+        x, u, initial, window, mixing, first=len(u) + 1
+    )
+    assert check_window(Effort(0, 10), equation=47).passes
+    monkeypatch.setattr(window_proof, "estimate", stuck)
+    assert not check_window(Effort(0, 10), equation=47).passes
+
+
+def test_bounds_that_do_not_vanish_are_noticed_in_8(monkeypatch):
+    """A bound with something added holds all the more; it does not tend to zero."""
+    for module in (theorem_2, theorem_2.omega_sums.__globals__["__name__"]):
+        target = module if isinstance(module, str) else module.__name__
+        monkeypatch.setattr(f"{target}.omegas", lambda *given: omegas(*given) + 20.0)
+    assert not theorem_2.check_prediction(Effort(0, 10)).passes
+    assert not theorem_2.check_one_step(Effort(0, 10)).passes
+
+
+def test_sums_of_the_omegas_by_hand():
+    """Truth zero, one transition 1 -> 0 with u = 0 from the model 1: the estimate halves its error with every step."""
+    truth, start = SignalModel([[1.0]], [[0.0]]), SignalModel([[0.0]], [[0.0]])
+    record = estimate(np.ones((5, 1)), np.zeros((4, 1)), start, 1, np.zeros(4))
+    sums, bounds = omega_sums(record, 1, truth, 0.0)
+    # Steps and residuals at k = 2, 3, 4 are 1/4, 1/8, 1/16.
+    squares = 1 / 16 + 1 / 64 + 1 / 256
+    np.testing.assert_allclose(sums, [2 * squares, 4 * squares, 2 * squares])
+    np.testing.assert_allclose(bounds, [2, 4, 2])
+
+
+@pytest.mark.parametrize("exponent", [1.25, 1.5, 2.0])
+def test_a_spiral_that_stops_is_told_from_one_that_does_not(exponent):
+    """Its last steps are far above any rounding, so that a threshold alone would refute it."""
+    b = np.array([model.B[0] for model in spiral_estimates(1500, 1, exponent).models])
+    assert np.ptp(b[750:], axis=0).max() > 1e-6
+    assert theorem_2.check_settles(Effort(), exponent=exponent).passes
+    assert not theorem_2.check_settles(Effort(), exponent=0.75).passes
+
+
+def test_the_growing_memory_settles_at_a_model_that_fits(monkeypatch):
+    """The control of the example is another run of the library; one that forgets fails it no longer."""
+    assert not theorem_2.check_settles_outside(Effort(), growing=True).passes
+    remember = GrowingMemory.remember
+    monkeypatch.setattr(GrowingMemory, "remember", lambda self, data, x, u: remember(self, 0.01 * data, x, u))
+    assert theorem_2.check_settles_outside(Effort(), growing=True).worst < 0.1
+
+
+def test_a_term_that_the_library_leaves_out_is_noticed(monkeypatch):
+    features = Terms.features
+    monkeypatch.setattr(Terms, "features", lambda self, stack, p: features(self, stack, p)[..., :2])
+    monkeypatch.setattr(Terms, "count", lambda self, p, outputs: 2)
+    assert not estimator_setup.check_lifting_example(Effort()).passes
+
+
+def test_a_term_that_the_library_gets_wrong_is_noticed(monkeypatch):
+    features = Terms.features
+    monkeypatch.setattr(Terms, "features", lambda self, stack, p: 1.01 * features(self, stack, p))
+    assert not estimator_setup.check_lifting_example(Effort()).passes
