@@ -56,26 +56,40 @@ class Node:
 
 
 def principal(claim: Claim) -> bool:
-    """Whether a claim is the paper's own item, such as "lemma-1.a" for Lemma 1(a), and not something further on it."""
+    """Whether a claim is an item itself, such as "lemma-1.a" for Lemma 1(a), and not something further on it.
+
+    This project's own items are marked as they are in mathematics: "Theorem 1*", "Theorem 3'".
+    """
+    if claim.item.endswith(("*", "'")):
+        return claim.id.count(".") == 1
     plain = ["".join(filter(str.isalnum, words)).lower() for words in (claim.id, claim.item)]
     return plain[0] == plain[1]
 
 
 def shown(claims: Sequence[Claim]) -> list[Claim]:
-    """Return the claims that are nodes: the paper's own assumptions, lemmas, theorems and remarks, and some more.
+    """Return the claims that are nodes: assumptions, lemmas, theorems and remarks, and what else carries the argument.
 
-    These are what the proof of another item uses, and what theorems there are besides, unless they are observations.
+    That is what the proof of another item uses, and on theorems what is no step of a longer proof, unless it is an
+    observation or rests on nothing.
     """
-    by_id = {claim.id: claim for claim in claims}
-    elsewhere = {id for claim in claims for id in claim.uses if id in by_id and by_id[id].item[:8] != claim.item[:8]}
+    family = {claim.id: claim.item.partition("(")[0].rstrip("*'") for claim in claims}
+    users: dict[str, set[str]] = {claim.id: set() for claim in claims}
+    for claim in claims:
+        for id in claim.uses:
+            users.setdefault(id, set()).add(family[claim.id])
     return [
         claim
         for claim in claims
         if claim.item.startswith(_SHOWN)
         and (
             principal(claim)
-            or claim.id in elsewhere
-            or (claim.item.startswith("Theorem") and claim.recorded != "observed" and bool(claim.uses))
+            or bool(users[claim.id] - {family[claim.id]})
+            or (
+                claim.item.startswith("Theorem")
+                and bool(claim.uses)
+                and not users[claim.id]
+                and claim.recorded != "observed"
+            )
         )
     ]
 

@@ -37,8 +37,10 @@ def names_of(claim: Claim) -> tuple[str, str]:
         elif rest[0].isalnum():
             break
         rest = rest[1:]
-    # An item such as "Theorem 1*" says itself that it is not the paper's.
-    return claim.item, "" if claim.item.endswith(("*", "'")) else rest.strip(".-").replace("-", " ")
+    rest = rest.strip(".-")
+    if claim.item.endswith(("*", "'")):
+        rest = rest.partition(".")[2]  # "star" or "prime" stands in the name already
+    return claim.item, rest.replace("-", " ").replace(".", ", ")
 
 
 def name_of(claim: Claim) -> str:

@@ -198,6 +198,7 @@ def readable(text: str) -> str:
     text = re.sub(r"\b([a-zA-Z]+)-bar\b", lambda m: _GREEK.get(m[1], m[1]) + "\u0304", text)
     text = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", lambda m: _GREEK[m[1]], text)
     text = re.sub(r"(\w)~", "\\1\u0303", text)
+    text = re.sub(r"(\w)\^(?=[\s,.;:)]|$)", "\\1\u0302", text)
     index = r"(?:\{[^{}]*\}|\d+|[A-Za-z]+(?:[+-]\d+)?(?!\w))"
     text = re.sub(rf"(?<=[\w\u0303\u0304*])_({index})", lambda m: f"<sub>{_bare(m[1])}</sub>", text)
     power = r"(?:\([^()]*\)|\{[^{}]*\}|-?\w+|\+)"

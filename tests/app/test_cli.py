@@ -434,9 +434,11 @@ def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
 
 def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
     from rhl.paper.claims import ledger, lemma_6
+    from rhl.paper.claims.claim import Control
 
     honest = next(claim for claim in lemma_6.CLAIMS if claim.id == "remark-4.chain")
-    lying = replace(honest, recorded="refuted", corrected=None)
+    instance = Control("the corrected form", honest.corrected)
+    lying = replace(honest, recorded="refuted", corrected=None, instance=instance)
     monkeypatch.setattr(ledger, "CLAIMS", (lying,))
     assert cli.main(["verify", "--cases", "5"]) == 0  # without the correction it is refuted, as recorded
     monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
@@ -448,8 +450,8 @@ def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
     ("target", "mutation", "problem"),
     [
         ("rhl.lifting.DelayLifting.augment", lambda *_: 1 / 0, "the check raised ZeroDivisionError: division by zero"),
-        ("rhl.paper.claims.lemma_6.worst_of", lambda found: float("nan"), "the check found nan"),
-        ("rhl.paper.claims.lemma_6.worst_of", lambda found: float("-inf"), "the check found -inf"),
+        ("rhl.paper.claims.remark_4.worst_of", lambda found: float("nan"), "the check found nan"),
+        ("rhl.paper.claims.remark_4.worst_of", lambda found: float("-inf"), "the check found -inf"),
         ("rhl.paper.claims.claim.Effort.rng", lambda *_: None, "the check raised AttributeError"),
     ],
 )

@@ -99,7 +99,22 @@ def test_lemmas_1_to_3_are_proved_here(id):
 def test_principal():
     assert chain.principal(claim("lemma-1.a", item="Lemma 1(a)"))
     assert chain.principal(claim("assumption-4b", item="Assumption 4(b)"))
+    assert chain.principal(claim("theorem-1.star", item="Theorem 1*"))
+    assert not chain.principal(claim("theorem-1.star.ends", item="Theorem 1*"))
     assert not chain.principal(claim("lemma-4.weak", item="Lemma 4"))
+
+
+def test_steps_of_a_proof_and_observations_are_no_nodes():
+    claims = [
+        claim("theorem-1", (), "Theorem 1"),
+        claim("theorem-1.step", ("theorem-1.start",), "Theorem 1"),
+        claim("theorem-1.start", (), "Theorem 1"),
+        claim("theorem-1.end", ("theorem-1.step",), "Theorem 1"),
+        claim("lemma-1.aside", ("theorem-1",), "Lemma 1"),
+        claim("lemma-2.part", (), "Lemma 2"),
+        claim("theorem-2", ("lemma-2.part",), "Theorem 2"),
+    ]
+    assert [each.id for each in chain.shown(claims)] == ["theorem-1", "theorem-1.end", "lemma-2.part", "theorem-2"]
 
 
 def test_equations_are_folded_into_what_uses_them():
@@ -238,6 +253,7 @@ def test_picture_and_table_say_the_same():
         ("assumption-5.implies", "Assumption 5", ("Assumption 5", "implies")),
         ("theorem-2.i.weak", "Theorem 2(i)", ("Theorem 2(i)", "weak")),
         ("theorem-1.star", "Theorem 1*", ("Theorem 1*", "")),
+        ("theorem-1.star.ends", "Theorem 1*", ("Theorem 1*", "ends")),
         ("theorem-1.one-step", "Theorem 1", ("Theorem 1", "one step")),
     ],
 )

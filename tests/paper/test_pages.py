@@ -2,14 +2,13 @@
 
 import re
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rhl.errors import InputError
-from rhl.paper.claims.claim import Control, Evidence, Judgement
+from rhl.paper.claims.claim import Evidence, Judgement
 from rhl.paper.claims.ledger import CLAIMS
 from rhl.paper.pages import (
     badge,
@@ -101,6 +100,7 @@ def test_numbers_are_written_as_on_paper(value, words):
         ("C'(CC')^-1 B and B_{N-1}", "Cᵀ(CCᵀ)<sup>−1</sup> B and B<sub>N−1</sub>"),
         ("2 rho-bar < mu, r~+ = 0", "2 ρ̄ &lt; μ, r̃+ = 0"),
         ("theta~(k), x*_{k+1}, e_0(k)", "θ̃(k), x*<sub>k+1</sub>, e<sub>0</sub>(k)"),
+        ("theta^ is theta_0", "θ̂ is θ<sub>0</sub>"),
         ("from 1e-10 to 1e3", "from 10⁻¹⁰ to 10³"),
         ("V1's gain, lemma-1.a, not 'the limit' of it", "V1's gain, lemma-1.a, not 'the limit' of it"),
     ],
@@ -123,16 +123,16 @@ def test_no_claim_shows_plain_text_formulas():
 
 
 def test_rows_of_the_ledger_say_status_evidence_and_what_is_used():
-    claim = replace(
-        next(claim for claim in CLAIMS if claim.id == "eq-39"),
-        instance=Control("a case in which it holds", lambda effort: Evidence(1, 0.0)),
-    )
-    row = ledger_table([Judgement(claim, "holds", Evidence(7, 2e-12, 1e-9, "rounding"), True, True, "", 0.1)])
+    claim = next(claim for claim in CLAIMS if claim.id == "eq-39")
+    row = ledger_table([Judgement(claim, "holds", Evidence(7, 2e-12, 1e-9, "rounding"), True, None, "", 0.1)])
     assert '<span class="standing stands">proved here</span> numerical sampling, 7 cases, worst 2·10⁻¹²' in row
-    assert "Holds with a case in which it holds." in row
+    assert "Fails with Γ a thousand times too small." in row
     assert '<a href="#assumption-3">assumption-3</a>' in row
     assert 'href="../notebooks/07-lemma-3.html#the-proof-step-by-step">proof' in row
-    broken = Judgement(claim, "no-evidence", Evidence(0, np.nan), True, True, "the check raised E", 0.1)
+    refuted = next(claim for claim in CLAIMS if claim.recorded == "refuted")
+    row = ledger_table([Judgement(refuted, "refuted", Evidence(1, 1.0, 0.0), True, True, "", 0.1)])
+    assert f"Holds with {readable(refuted.instance.what)}." in row
+    broken = Judgement(claim, "no-evidence", Evidence(0, np.nan), True, None, "the check raised E", 0.1)
     assert '<span class="standing open">no evidence</span>' in ledger_table([broken])
     assert "the check raised E" in ledger_table([broken])
     assert "1 " + badge("no evidence") in status_counts([broken])

@@ -123,7 +123,7 @@ class Claim:
     control : Control, optional
         Required wherever there is a check.
     instance : Control, optional
-        For a refuted claim: a case in which its statement holds, judged by the same check.
+        Required of a refuted claim, and of no other: a case in which its statement holds, judged by the same check.
     reason : str
         What is wrong and what is right, or why it cannot be checked; empty where the claim simply holds.
     kind : Kind
@@ -163,6 +163,11 @@ class Claim:
             raise InputError(f"claim {self.id} must have a check and a control, or neither and be not-checkable")
         if (self.recorded in ("holds-corrected", "refuted", "not-checkable")) != bool(self.reason):
             raise InputError(f"claim {self.id} must give a reason just where it is corrected, refuted or not checkable")
+        if (self.recorded == "refuted") != (self.instance is not None):
+            raise InputError(
+                f"claim {self.id} must have an instance just where it is recorded as refuted: a case in which the same "
+                "check passes"
+            )
         if self.kind != "statement" and (self.uses or self.proof or self.formal):
             raise InputError(
                 f"claim {self.id} is a {self.kind}, which nothing proves, and must name neither proof nor uses"

@@ -174,6 +174,7 @@ CLAIMS: tuple[Claim, ...] = (
         "signals",
         "The record: a sequence of outputs and one of inputs.",
         reason="a definition: it names two sequences and says nothing about them",
+        kind="definition",
     ),
     claim(
         "eq-14",
@@ -185,6 +186,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_lifting,
         control=Control("the stack of one step before", partial(check_lifting, start=1)),
+        kind="definition",
     ),
     claim(
         "text-lifting-example",
@@ -208,7 +210,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_estimator,
         control=Control("another weight of the proximal term", partial(check_estimator, weight=2.0)),
-        uses=("eq-16", "eq-17"),
+        kind="definition",
     ),
     claim(
         "text-domain-of-g",
@@ -232,6 +234,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=partial(check_stacks, what="eq-16"),
         control=Control("the oldest first", partial(check_stacks, what="eq-16", wrong=True)),
+        kind="definition",
     ),
     claim(
         "eq-17",
@@ -242,6 +245,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=partial(check_stacks, what="eq-17"),
         control=Control("theta stacked row by row", partial(check_stacks, what="eq-17", wrong=True)),
+        kind="definition",
     ),
     claim(
         "eq-18",
@@ -252,6 +256,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_signal_model,
         control=Control("A transposed", partial(check_signal_model, transposed=True)),
+        kind="hypothesis",
     ),
     claim(
         "remark-2",
@@ -264,6 +269,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_least_squares,
         control=Control("another weight of the proximal term", partial(check_least_squares, weight=2.0)),
         uses=("eq-15", "eq-17"),
+        proof="notebooks/11-theorem-2.ipynb#proof-remark-2",
     ),
     claim(
         "remark-3",
@@ -275,6 +281,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_carleman,
         control=Control("a cube in place of the square", partial(check_carleman, power=3)),
+        proof="notebooks/11-theorem-2.ipynb#proof-remark-3",
     ),
     claim(
         "eq-21",

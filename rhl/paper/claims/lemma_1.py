@@ -413,6 +413,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_bound,
         control=Control("maps of a lower rank", lambda effort: check_bound(effort, full=False)),
         uses=("assumption-3", "assumption-5.rank", "lemma-1.a"),
+        proof="notebooks/05-lemma-1.ipynb#gain-bound",
     ),
     _claim(
         "assumption-5.implies",

@@ -237,6 +237,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control(
             "the sum of absolute values as loss", partial(check_assumption_6, value=lambda e: np.abs(e).sum(axis=-1))
         ),
+        kind="hypothesis",
     ),
     _claim(
         "eq-19",
@@ -248,7 +249,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_common_minimiser,
         control=Control("noise in the data", partial(check_common_minimiser, noise=0.01)),
-        uses=("eq-18",),
+        kind="hypothesis",
     ),
     _claim(
         "eq-20",
@@ -260,7 +261,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_iteration,
         control=Control("another weight on the proximal term", partial(check_iteration, library=2.0)),
-        uses=("remark-2",),
+        kind="definition",
     ),
     _claim(
         "eq-41",

@@ -298,6 +298,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_any_minor,
         control=Control("a bound lower by one", partial(check_any_minor, lower=1)),
+        proof="notebooks/10-lemma-5.ipynb#proof-any-minor",
     ),
     _claim(
         "lemma-5.search",

@@ -295,6 +295,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_converse,
         control=Control("an unobservable block that is unstable", lambda effort: check_converse(effort, 1.05)),
         uses=("eq-52", "eq-54"),
+        proof="notebooks/12-lemma-6.ipynb#proof-converse",
     ),
     *REMARK,
     _claim(
@@ -306,6 +307,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_kalman,
         control=Control("an undetectable plant", lambda effort: check_kalman(effort, hidden_radius=1.05)),
+        uses=("assumption-1",),
+        proof="notebooks/12-lemma-6.ipynb#proof-kalman",
     ),
     _claim(
         "eq-53",

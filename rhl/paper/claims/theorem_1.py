@@ -211,13 +211,21 @@ def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (
 
 
 CLAIMS: tuple[Claim, ...] = (
-    _claim("eq-2", "Equation 2", "sysmpc", "The system x+ = Ax + Bu.", reason="A definition."),
+    _claim(
+        "eq-2",
+        "Equation 2",
+        "sysmpc",
+        "The system x+ = Ax + Bu.",
+        reason="A definition.",
+        kind="definition",
+    ),
     _claim(
         "eq-4",
         "Equation 4",
         "",
         "The receding horizon policy applies the first input of the plan.",
         reason="A definition; the library's loop follows it.",
+        kind="definition",
     ),
     _claim(
         "assumption-3",
@@ -226,6 +234,7 @@ CLAIMS: tuple[Claim, ...] = (
         "N >= n; Q, R, Q_N and Gamma are positive definite.",
         reason="A hypothesis; the library refuses weights that are not definite. With Remark 4, n is the augmented "
         "state's.",
+        kind="hypothesis",
     ),
     _claim(
         "theorem-1",

@@ -251,6 +251,7 @@ CLAIMS: tuple[Claim, ...] = (
         reason="With signals set to zero before k = 0, as the paper has it, the linear example's transitions into "
         "x(0), x(1) and x(2) fit no common (A, B): fitting from x(0), x(1), x(2) on leaves 9.9, 0.9 and 0.08, from "
         "x(3) on nothing. This does no harm: apply the theory from the step on at which the window holds none of them.",
+        kind="hypothesis",
     ),
     claim(
         "theorem-2.i",

@@ -131,6 +131,7 @@ CLAIMS: tuple[Claim, ...] = (
         "ass1ground",
         "The plant is stabilizable and detectable, and a bound m on its order is known.",
         reason="A hypothesis. What happens without it is seen in the controls of lemma-6.converse and theorem-3.",
+        kind="hypothesis",
     ),
     _claim(
         "theorem-3",
@@ -187,6 +188,7 @@ CLAIMS: tuple[Claim, ...] = (
         "sys",
         "The plant: z+ = Fz + Gv, y = Hz.",
         reason="A definition.",
+        kind="definition",
     ),
     _claim(
         "eq-22",
@@ -197,5 +199,6 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_stacks,
         control=Control("the oldest first", lambda effort: check_stacks(effort, oldest_first=True)),
+        kind="definition",
     ),
 )

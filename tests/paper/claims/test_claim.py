@@ -9,6 +9,7 @@ from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, judge, wors
 
 PASSES = Evidence(1, 0.0, 0.0)
 FAILS = Evidence(1, 1.0, 0.0)
+INSTANCE = Control("a case in which it holds", lambda effort: PASSES)
 
 
 def claim(**changes):
@@ -32,8 +33,8 @@ def claim(**changes):
     [
         ({}, "holds", True),
         ({"stated": lambda effort: FAILS}, "refuted", False),
-        ({"recorded": "refuted", "reason": "r", "stated": lambda effort: FAILS}, "refuted", True),
-        ({"recorded": "refuted", "reason": "r"}, "holds", False),
+        ({"recorded": "refuted", "reason": "r", "stated": lambda effort: FAILS, "instance": INSTANCE}, "refuted", True),
+        ({"recorded": "refuted", "reason": "r", "instance": INSTANCE}, "holds", False),
         ({"recorded": "observed"}, "observed", True),
         (
             {
@@ -75,6 +76,8 @@ def test_verdicts(changes, verdict, as_recorded):
         ({"reason": "r"}, "must give a reason just where"),
         ({"recorded": "refuted"}, "must give a reason just where"),
         ({"recorded": "holds-corrected", "reason": "r"}, "must have a corrected check"),
+        ({"recorded": "refuted", "reason": "r"}, "must have an instance just where it is recorded as refuted"),
+        ({"instance": Control("a case", lambda effort: PASSES)}, "must have an instance just where"),
         ({"kind": "hypothesis", "uses": ("y",)}, "is a hypothesis, which nothing proves"),
         ({"kind": "definition", "proof": "p#proof"}, "is a definition, which nothing proves"),
     ],
@@ -102,7 +105,9 @@ def raising(effort):
 def test_no_evidence_is_neither_for_nor_against(check, recorded):
     reason = "" if recorded == "holds" else "r"
     corrected = (lambda effort: PASSES) if recorded == "holds-corrected" else None
-    judgement = judge(claim(recorded=recorded, reason=reason, stated=check, corrected=corrected), Effort())
+    instance = INSTANCE if recorded == "refuted" else None
+    made = claim(recorded=recorded, reason=reason, stated=check, corrected=corrected, instance=instance)
+    judgement = judge(made, Effort())
     assert judgement.verdict == "no-evidence"
     assert judgement.problem.startswith("the check ")
     assert judgement.tripped is True
