@@ -141,3 +141,50 @@ def test_a_link_shows_the_statement_it_leads_to(chromium, site):
         page.wait_for_timeout(600)
         assert card.count() == 0
     assert found == []
+
+
+def test_what_rests_on_what_can_be_narrowed_down(chromium, site):
+    with seen.visit(chromium, site, "book/chain.html", "light") as (page, found):
+        boxes, shown = page.locator(".rhl-chain a.node"), page.locator(".rhl-chain a.node:not(.away)")
+        everything = boxes.count()
+        assert shown.count() == everything > 20
+        # By keyboard alone, and the choice stands in the address.
+        page.locator("#chain-of").focus()
+        page.keyboard.type("Lemma 2 and")
+        page.keyboard.press("Enter")
+        assert page.evaluate("location.hash") == "#of=lemma-2"
+        names = shown.evaluate_all("nodes => nodes.map((node) => node.dataset.id)")
+        assert {"lemma-2", "lemma-1.a", "assumption-3", "assumption-5"} <= set(names)
+        assert not {"theorem-1", "lemma-4"} & set(names)
+        assert page.locator(".chain-table tbody tr:visible").count() >= len(names)
+        assert "None of them fails" in page.locator(".rhl-chain [role=status]").inner_text()
+        sizes = page.locator(".rhl-chain svg text").evaluate_all(
+            "texts => texts.map((text) => parseFloat(getComputedStyle(text).fontSize))"
+        )
+        assert min(sizes) >= 11
+        page.goto(f"{site}book/chain.html#of=theorem-3")
+        page.reload()
+        assert page.locator("#chain-of").input_value() == "theorem-3"
+        assert "What fails" in page.locator(".rhl-chain [role=status]").inner_text()
+        page.locator('.rhl-chain a.node[data-id="lemma-2"]').click()
+        page.wait_for_url("**/notebooks/06-lemma-2.html#the-proof-step-by-step")
+    assert found == []
+
+
+def test_what_rests_on_what_without_scripts(chromium, site):
+    with chromium.new_page(java_script_enabled=False) as page:
+        page.goto(f"{site}book/chain.html")
+        assert page.locator(".rhl-chain a.node").first.is_visible()
+        assert page.locator(".chain-table tbody tr").count() > 20
+        assert page.locator("#chain-of").count() == 0
+
+
+def test_the_picture_scrolls_on_a_phone_and_the_page_does_not(chromium, site):
+    with chromium.new_page(viewport={"width": 390, "height": 844}) as page:
+        page.goto(f"{site}book/chain.html")
+        picture = page.locator(".chain-picture")
+        assert picture.evaluate("part => part.scrollWidth > part.clientWidth")
+        assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+        picture.focus()
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function("document.querySelector('.chain-picture').scrollLeft > 0")

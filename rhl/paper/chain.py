@@ -67,31 +67,33 @@ def principal(claim: Claim) -> bool:
 
 
 def shown(claims: Sequence[Claim]) -> list[Claim]:
-    """Return the claims that are nodes: assumptions, lemmas, theorems and remarks, and what else carries the argument.
+    """Return the claims that are nodes: assumptions, lemmas, theorems and remarks, and what carries them.
 
-    That is what the proof of another item uses, and on theorems what is no step of a longer proof, unless it is an
-    observation or rests on nothing.
+    That is, of what the items rest on, the claims on lemmas and theorems that the proof of another item uses. Steps of
+    one proof, and results on which no item rests, are left out.
     """
-    family = {claim.id: claim.item.partition("(")[0].rstrip("*'") for claim in claims}
-    users: dict[str, set[str]] = {claim.id: set() for claim in claims}
-    for claim in claims:
-        for id in claim.uses:
-            users.setdefault(id, set()).add(family[claim.id])
-    return [
-        claim
-        for claim in claims
-        if claim.item.startswith(_SHOWN)
-        and (
-            principal(claim)
-            or bool(users[claim.id] - {family[claim.id]})
-            or (
-                claim.item.startswith("Theorem")
-                and bool(claim.uses)
-                and not users[claim.id]
-                and claim.recorded != "observed"
-            )
-        )
-    ]
+    by_id = {claim.id: claim for claim in claims}
+    items = [claim for claim in claims if claim.item.startswith(_SHOWN) and principal(claim)]
+    carrying: set[str] = set()
+    waiting = [claim.id for claim in items]
+    while waiting:
+        id = waiting.pop()
+        if id not in carrying:
+            carrying.add(id)
+            waiting += [used for used in by_id[id].uses if used in by_id]
+    elsewhere = {
+        used
+        for id in carrying
+        for used in by_id[id].uses
+        if used in by_id and by_id[used].item.startswith(_SHOWN) and _family(by_id[used]) != _family(by_id[id])
+    }
+    kept = elsewhere | {claim.id for claim in items}
+    return [claim for claim in claims if claim.id in kept]
+
+
+def _family(claim: Claim) -> str:
+    """Return the item without its parts and marks: "Theorem 2" of Theorem 2(iii)."""
+    return claim.item.partition("(")[0].rstrip("*'")
 
 
 def in_order(claims: Sequence[Claim]) -> list[Claim]:
@@ -113,9 +115,10 @@ def in_order(claims: Sequence[Claim]) -> list[Claim]:
 
 def folded(claims: Sequence[Claim]) -> dict[str, tuple[str, ...]]:
     """Return for each node the nodes that its proof uses, through the claims that are none."""
+    order = in_order(claims)
     nodes = {claim.id for claim in shown(claims)}
     reached: dict[str, set[str]] = {}
-    for claim in in_order(claims):
+    for claim in order:
         reached[claim.id] = set().union(*({id} if id in nodes else reached[id] for id in claim.uses))
     return {claim.id: tuple(each.id for each in claims if each.id in reached[claim.id]) for claim in shown(claims)}
 

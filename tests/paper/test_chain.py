@@ -104,17 +104,17 @@ def test_principal():
     assert not chain.principal(claim("lemma-4.weak", item="Lemma 4"))
 
 
-def test_steps_of_a_proof_and_observations_are_no_nodes():
+def test_steps_of_a_proof_and_results_that_carry_nothing_are_no_nodes():
     claims = [
-        claim("theorem-1", (), "Theorem 1"),
-        claim("theorem-1.step", ("theorem-1.start",), "Theorem 1"),
-        claim("theorem-1.start", (), "Theorem 1"),
-        claim("theorem-1.end", ("theorem-1.step",), "Theorem 1"),
-        claim("lemma-1.aside", ("theorem-1",), "Lemma 1"),
+        claim("theorem-1", ("theorem-1.step",), "Theorem 1"),
+        claim("theorem-1.step", (), "Theorem 1"),
+        claim("theorem-1.aside", ("lemma-2.other",), "Theorem 1"),
         claim("lemma-2.part", (), "Lemma 2"),
-        claim("theorem-2", ("lemma-2.part",), "Theorem 2"),
+        claim("lemma-2.other", (), "Lemma 2"),
+        claim("theorem-2", ("eq-9",), "Theorem 2"),
+        claim("eq-9", ("lemma-2.part",), "Equation 9"),
     ]
-    assert [each.id for each in chain.shown(claims)] == ["theorem-1", "theorem-1.end", "lemma-2.part", "theorem-2"]
+    assert [each.id for each in chain.shown(claims)] == ["theorem-1", "lemma-2.part", "theorem-2"]
 
 
 def test_equations_are_folded_into_what_uses_them():

@@ -413,6 +413,6 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_window,
         control=Control("mixing weights that differ from model to model", partial(check_window, mixed=True)),
         uses=("eq-20", "remark-2"),
-        proof="notebooks/24-theorem-4.ipynb#proof-window",
+        proof="notebooks/24-theorem-4.ipynb#proof-theorem-4-window",
     ),
 )
