@@ -47,11 +47,15 @@ def kalman_form(
     """
     n1, n2, _ = sizes
     n = sum(sizes)
+    blocks = [(slice(0, n1), 1.2), (slice(n1, n1 + n2), 0.8), (slice(n1 + n2, n), hidden_radius)]
+    blocks = [(at, radius) for at, radius in blocks if at.stop > at.start]
     while True:
         F = rng.normal(size=(n, n)) / np.sqrt(n)
-        F[:n1, :n1] *= 1.2 / max(spectral_radius(F[:n1, :n1]), 0.1)
-        F[n1 : n1 + n2, n1 : n1 + n2] *= 0.8 / max(spectral_radius(F[n1 : n1 + n2, n1 : n1 + n2]), 0.1)
-        F[n1 + n2 :, n1 + n2 :] *= hidden_radius / max(spectral_radius(F[n1 + n2 :, n1 + n2 :]), 0.1)
+        radii = [spectral_radius(F[at, at]) for at, _ in blocks]
+        if min(radii) < 0.1:
+            continue  # nearly nilpotent: scaled to its radius it would be far from normal
+        for (at, wanted), radius in zip(blocks, radii, strict=True):
+            F[at, at] *= wanted / radius
         F[n1 : n1 + n2, :n1] = 0
         F[: n1 + n2, n1 + n2 :] = 0
         G, H = rng.normal(size=(n, q)), rng.normal(size=(p, n))

@@ -53,7 +53,7 @@ def _along(
 
     def check(effort: Effort) -> Evidence:
         rng, found = effort.rng(name), []
-        for case in range(effort.cases):
+        for case in range(max(effort.cases, 10)):
             squares = Squares(float(rng.uniform(0.5, 2.0)))
             g = generator or (Entropy() if case % 3 == 2 and consistent else squares)
             run, targets = draw_run(rng, g, consistent=consistent, scale=4.0 if generator else 1.0)

@@ -152,3 +152,11 @@ def test_numbers_of_the_second_reading():
 def test_a_case_that_says_nothing_of_augmentation_is_no_evidence(monkeypatch):
     monkeypatch.setattr(remark_4, "stabilizable_exactly", lambda A, B: False)
     assert not remark_4.check_every_pair(Effort()).conclusive
+
+
+def test_hidden_blocks_have_the_radius_that_is_asked_for():
+    """Blocks drawn nearly nilpotent were left stable, and then the control of the converse did not fail."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        form = kalman.kalman_form(rng, 1, 2, (2, 1, 1), 1.05)
+        assert abs(form.F[3, 3]) == pytest.approx(1.05)
