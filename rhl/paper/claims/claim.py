@@ -14,7 +14,17 @@ import numpy as np
 from rhl._checks import integer
 from rhl.errors import InputError
 
-Verdict = Literal["holds", "holds-corrected", "refuted", "observed", "not-checkable"]
+Recorded = Literal["holds", "holds-corrected", "refuted", "observed", "not-checkable"]
+Verdict = Literal["holds", "holds-corrected", "refuted", "observed", "not-checkable", "no-evidence"]
+Status = Literal[
+    "proved here",
+    "machine-checked",
+    "holds on all cases tried",
+    "holds once corrected",
+    "fails: counterexample",
+    "cannot be checked",
+    "no evidence",
+]
 Method = Literal["symbolic identity", "exact arithmetic", "numerical sampling", "simulation", "none"]
 
 
@@ -38,6 +48,9 @@ class Effort:
 class Evidence:
     """What a check found.
 
+    Without cases, or with a largest violation of NaN or minus infinity (that of no numbers), it is no evidence, neither
+    for the claim nor against it.
+
     Attributes
     ----------
     cases : int
@@ -54,9 +67,14 @@ class Evidence:
     why: str = "exact"
 
     @property
+    def conclusive(self) -> bool:
+        """Whether this is evidence at all."""
+        return self.cases > 0 and self.worst > -math.inf
+
+    @property
     def passes(self) -> bool:
-        """Whether the claim was seen to hold; NaN and an empty sample do not pass."""
-        return self.cases > 0 and self.worst <= self.tolerance
+        """Whether the claim was seen to hold."""
+        return self.conclusive and self.worst <= self.tolerance
 
 
 Check = Callable[[Effort], Evidence]
@@ -64,9 +82,10 @@ Check = Callable[[Effort], Evidence]
 
 @dataclass(frozen=True)
 class Control:
-    """The same check with an assumption broken: it must be seen to fail.
+    """The same check under other conditions, which shows that it tells true from false.
 
-    ``what`` says what is broken, completing "with ..."; ``check`` must not pass.
+    As a claim's ``control`` an assumption is broken, and ``check`` must fail; as its ``instance`` the conditions are
+    such that even a refuted statement holds, and ``check`` must pass. ``what`` completes the sentence "with ...".
     """
 
     what: str
@@ -102,8 +121,17 @@ class Claim:
         fails.
     control : Control, optional
         Required wherever there is a check.
+    instance : Control, optional
+        For a refuted claim: a case in which its statement holds, judged by the same check.
     reason : str
         What is wrong and what is right, or why it cannot be checked; empty where the claim simply holds.
+    uses : tuple of str
+        The ids of the claims that the proof of this one uses, assumptions included.
+    proof : str
+        Where the book proves it, page and anchor, such as "notebooks/08-theorem-1.ipynb#proof"; empty where it does
+        not.
+    formal : str
+        The name of the theorem that Coq checks; empty where there is none.
     """
 
     id: str
@@ -111,13 +139,17 @@ class Claim:
     label: str
     statement: str
     method: Method = "none"
-    recorded: Verdict = "not-checkable"
+    recorded: Recorded = "not-checkable"
     page: str = field(kw_only=True)
     test: str = field(kw_only=True)
     stated: Check | None = None
     corrected: Check | None = None
     control: Control | None = None
+    instance: Control | None = None
     reason: str = ""
+    uses: tuple[str, ...] = ()
+    proof: str = ""
+    formal: str = ""
 
     def __post_init__(self) -> None:
         checkable = self.recorded != "not-checkable"
@@ -133,41 +165,102 @@ class Claim:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim after its checks ran, with the evidence of the check that decided.
+    """A claim after its checks ran.
 
-    ``tripped`` says whether the negative control was violated, as it must be; ``seconds`` is the time taken.
+    Attributes
+    ----------
+    claim : Claim
+        What was judged.
+    verdict : Verdict
+        What came out.
+    evidence : Evidence, optional
+        That of the check that decided; None where nothing can be checked.
+    tripped : bool, optional
+        Whether the negative control failed, as it must; None where there is none, or where it gave no evidence.
+    told_apart : bool, optional
+        Whether the instance of a refuted claim passed, as it must; None where there is none, or no evidence.
+    problem : str
+        Why a check, a control or an instance gave no evidence; empty where all did.
+    seconds : float
+        The time taken.
     """
 
     claim: Claim
     verdict: Verdict
     evidence: Evidence | None
     tripped: bool | None
+    told_apart: bool | None
+    problem: str
     seconds: float
 
     @property
     def as_recorded(self) -> bool:
-        """Whether the verdict is the recorded one and the control was violated."""
-        return self.verdict == self.claim.recorded and self.tripped is not False
+        """Whether the verdict is the recorded one, the control failed and the instance passed."""
+        return (
+            self.verdict == self.claim.recorded
+            and self.tripped is (None if self.claim.control is None else True)
+            and self.told_apart is (None if self.claim.instance is None else True)
+        )
+
+    @property
+    def status(self) -> Status:
+        """What the verdict means, in words."""
+        match self.verdict:
+            case "holds" | "observed":
+                if self.claim.formal:
+                    return "machine-checked"
+                return "proved here" if self.claim.proof else "holds on all cases tried"
+            case "holds-corrected":
+                return "holds once corrected"
+            case "refuted":
+                return "fails: counterexample"
+            case "not-checkable":
+                return "cannot be checked"
+            case "no-evidence":
+                return "no evidence"
 
 
 def judge(claim: Claim, effort: Effort) -> Judgement:
-    """Run a claim's checks and its control.
+    """Run a claim's checks, its control and its instance.
 
     "holds" (or "observed") if the stated check passes; else "holds-corrected" if there is a corrected check and it
-    passes; else "refuted".
+    passes; else "refuted". A check that decides nothing (it raises, has no cases or finds NaN) makes it "no-evidence".
     """
     begin = time.perf_counter()
     if claim.stated is None or claim.control is None:
-        return Judgement(claim, "not-checkable", None, None, 0.0)
-    evidence = claim.stated(effort)
+        return Judgement(claim, "not-checkable", None, None, None, "", 0.0)
+    evidence, *problems = _run("the check", claim.stated, effort)
     verdict: Verdict = "observed" if claim.recorded == "observed" else "holds"
-    if not evidence.passes:
+    if evidence.conclusive and not evidence.passes:
         verdict = "refuted"
         if claim.corrected is not None:
-            evidence = claim.corrected(effort)
+            evidence, *problems = _run("the corrected check", claim.corrected, effort)
             verdict = "holds-corrected" if evidence.passes else "refuted"
-    tripped = not claim.control.check(effort).passes
-    return Judgement(claim, verdict, evidence, tripped, time.perf_counter() - begin)
+    if problems:
+        verdict = "no-evidence"
+    control, *more = _run("the control", claim.control.check, effort)
+    tripped = not control.passes if control.conclusive else None
+    told_apart = None
+    if claim.instance is not None:
+        instance, *rest = _run("the instance", claim.instance.check, effort)
+        told_apart = instance.passes if instance.conclusive else None
+        more += rest
+    seconds = time.perf_counter() - begin
+    return Judgement(claim, verdict, evidence, tripped, told_apart, "; ".join(problems + more), seconds)
+
+
+def _run(name: str, check: Check, effort: Effort) -> tuple[Evidence] | tuple[Evidence, str]:
+    """Run a check; return what it found and, where that is no evidence, why."""
+    try:
+        evidence = check(effort)
+    except ModuleNotFoundError:
+        raise  # a package that is not installed; the command line says which extra brings it
+    except Exception as error:
+        # One check that breaks must not end the run of the others; its row says what it raised.
+        return Evidence(0, math.nan), f"{name} raised {type(error).__name__}: {error}"
+    if evidence.conclusive:
+        return (evidence,)
+    return evidence, f"{name} had no cases" if evidence.cases == 0 else f"{name} found {evidence.worst}"
 
 
 def worst_of(violations: list[float]) -> float:

@@ -82,9 +82,69 @@ def test_claims_that_could_lie_are_refused(changes, sentence):
         claim(**changes)
 
 
-@pytest.mark.parametrize("evidence", [Evidence(0, 0.0), Evidence(5, math.nan, 1.0), Evidence(5, 2.0, 1.0)])
+NO_EVIDENCE = [Evidence(0, 0.0), Evidence(5, math.nan, 1.0), Evidence(5, -math.inf, 1.0)]
+
+
+@pytest.mark.parametrize("evidence", [*NO_EVIDENCE, Evidence(5, 2.0, 1.0)])
 def test_no_cases_no_number_no_pass(evidence):
     assert not evidence.passes
+    assert evidence.conclusive == (evidence.worst == 2.0)
+
+
+def raising(effort):
+    raise ZeroDivisionError("by nothing")
+
+
+@pytest.mark.parametrize("check", [raising, *(lambda effort, found=found: found for found in NO_EVIDENCE)])
+@pytest.mark.parametrize("recorded", ["holds", "refuted", "holds-corrected"])
+def test_no_evidence_is_neither_for_nor_against(check, recorded):
+    reason = "" if recorded == "holds" else "r"
+    corrected = (lambda effort: PASSES) if recorded == "holds-corrected" else None
+    judgement = judge(claim(recorded=recorded, reason=reason, stated=check, corrected=corrected), Effort())
+    assert judgement.verdict == "no-evidence"
+    assert judgement.problem.startswith("the check ")
+    assert judgement.tripped is True
+    assert not judgement.as_recorded
+
+
+@pytest.mark.parametrize("check", [raising, *(lambda effort, found=found: found for found in NO_EVIDENCE)])
+def test_a_control_without_evidence_has_not_failed(check):
+    judgement = judge(claim(control=Control("it broken", check)), Effort())
+    assert judgement.verdict == "holds"
+    assert judgement.tripped is None
+    assert judgement.problem.startswith("the control ")
+    assert not judgement.as_recorded
+
+
+@pytest.mark.parametrize(("found", "as_recorded"), [(PASSES, True), (FAILS, False), (Evidence(0, 0.0), False)])
+def test_the_instance_of_a_refuted_claim_must_hold(found, as_recorded):
+    instance = Control("a case in which it holds", lambda effort: found)
+    made = claim(recorded="refuted", reason="r", stated=lambda effort: FAILS, instance=instance)
+    assert judge(made, Effort()).as_recorded is as_recorded
+
+
+def test_an_interrupt_is_not_swallowed():
+    def interrupted(effort):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        judge(claim(stated=interrupted), Effort())
+
+
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        ({}, "holds on all cases tried"),
+        ({"recorded": "observed"}, "holds on all cases tried"),
+        ({"proof": "p#proof"}, "proved here"),
+        ({"proof": "p#proof", "formal": "Theorem"}, "machine-checked"),
+        ({"proof": "p#proof", "stated": lambda effort: FAILS}, "fails: counterexample"),
+        ({"proof": "p#proof", "stated": raising}, "no evidence"),
+        ({"recorded": "not-checkable", "reason": "r", "stated": None, "control": None}, "cannot be checked"),
+    ],
+)
+def test_status(changes, status):
+    assert judge(claim(**changes), Effort()).status == status
 
 
 def test_worst_of():

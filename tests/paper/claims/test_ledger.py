@@ -90,7 +90,7 @@ def test_json_names_everything():
 
 
 def test_rows_link_to_code_of_this_library():
-    unjudged = [Judgement(claim, claim.recorded, None, None, 0.0) for claim in ledger.CLAIMS]
+    unjudged = [Judgement(claim, claim.recorded, None, None, None, "", 0.0) for claim in ledger.CLAIMS]
     modules = set(re.findall(r'"\.\./_modules/([^"]*)\.html"', ledger_table(unjudged)))
     assert len(modules) > 10
     assert all((ROOT / f"{module}.py").is_file() for module in modules)
