@@ -63,6 +63,8 @@ CORE = [
 PAPER = [
     "paper",
     "paper.published",
+    "paper.certified",
+    "paper.certified_samples",
     "paper.figures",
     "paper.claims",
     "paper.claims.claim",
@@ -89,6 +91,8 @@ PAPER = [
             "theorem_2",
             "theorem_3",
             "simulations",
+            "certified_limits",
+            "certified",
         )
     ),
     "paper.claims.ledger",
@@ -141,7 +145,20 @@ FORBIDDEN = {
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
-HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib", "dask", "distributed", "xarray", "zarr")
+HEAVY = (
+    "flint",
+    "numba",
+    "scipy",
+    "rich",
+    "pandas",
+    "sympy",
+    "control",
+    "matplotlib",
+    "dask",
+    "distributed",
+    "xarray",
+    "zarr",
+)
 
 
 def name_of(path):

@@ -102,7 +102,7 @@ ARM: dict[str, Exact] = {
 
 @dataclass(frozen=True)
 class ExactArm:
-    """The robot arm (24), Euler-discretised with step ``h``; ``coefficients`` are a, ..., f, as ``RobotArm`` has them."""
+    """The robot arm (24), Euler-discretised with step ``h``; ``coefficients`` are a, ..., f as in ``RobotArm``."""
 
     coefficients: Exact
     h: Fraction
@@ -120,7 +120,7 @@ class ExactArm:
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """An experiment in exact numbers: squares, weights that are multiples of the identity, one input, the estimate of k-1.
+    """An experiment in exact numbers: squares, one input, multiples of the identity as weights, the estimate of k-1.
 
     Attributes
     ----------
@@ -323,7 +323,7 @@ def _first_input(recipe: Recipe, pair: tuple[arb_mat, arb_mat], X: list[arb], we
         K = PB.transpose() * A * (1 / (ball(recipe.R) + (B.transpose() * PB)[0, 0]))
         P = A.transpose() * (P * (A - B * K))
         P = (P + P.transpose()) * half + _diagonal(len(X), ball(recipe.Q))
-    return cast("arb", -(K * _as_column(X))[0, 0])
+    return -(K * _as_column(X))[0, 0]
 
 
 def _diagonal(n: int, entry: arb) -> arb_mat:

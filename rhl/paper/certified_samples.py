@@ -1,4 +1,4 @@
-"""Enclosed runs beside published samples and beside float64: digits that are proved, distances between proved bounds."""
+"""Enclosed runs beside published samples and beside float64: proved digits, and distances between proved bounds."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def unlike(one: Sequence[arb], other: Sequence[arb]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class FloatError:
-    """How far float64 is from the exact run, at worst: ``low`` <= largest |error| of ``signal`` <= ``high``, at ``k``."""
+    """The largest |error| of a signal in float64 is between ``low`` and ``high``, and at step ``k``."""
 
     signal: str
     low: float

@@ -23,8 +23,8 @@ def between(low: arb, high: arb) -> arb:
 def shrinking_limit(ratio: Fraction, steps: int, bits: int) -> arb:
     r"""Enclose the limit of (20) for :math:`f(x,k) = \rho^k x^2`, :math:`D = |x-y|^2/2`, from x = 1, in balls.
 
-    The limit is the product of all :math:`1/(1+2\rho^k)`. The factors from K = ``steps`` on multiply to at most one, and
-    to at least one minus the sum of :math:`2\rho^k`; to zero, where that sum (``ratio`` = 1) is infinite.
+    The limit is the product of all :math:`1/(1+2\rho^k)`. The factors from K = ``steps`` on multiply to at most one,
+    and to at least one minus the sum of :math:`2\rho^k`; where that sum is infinite (``ratio`` 1), to at least zero.
     """
     with flint().ctx.workprec(bits):
         x, weight, rho = ball(1), ball(2), ball(ratio)
@@ -39,8 +39,8 @@ class Growth:
     """Theorem 1's scalar loop in balls: states, and what is proved of them.
 
     ``x`` (steps + 1): the states. ``kept``: at how many of the steps x(k)^2 is proved to be at least
-    a^2k / (s(1) + 3 H_k), with s(1) = a^2 / x(1)^2 and H_k = 1/2 + ... + 1/k, of ``steps`` where the proof applies (from
-    k = 1). ``factor``: by how much that bound grows from each step on to the next, at least, for all later steps, too.
+    a^2k / (s(1) + 3 (1/2 + ... + 1/k)), for k = 1 equal to it, of ``steps``.
+    ``factor``: by how much that bound grows from the last step to the next, at least, and from all later ones.
     """
 
     x: tuple[arb, ...]
@@ -72,20 +72,19 @@ def growth(a: Fraction, x0: Fraction, gain: Gain, steps: int, bits: int) -> Grow
     """
     with flint().ctx.workprec(bits):
         slope, x = ball(a), ball(x0)
-        states, kept, bound = [x], 0, ball(0)
+        states, kept, first = [x], 0, (1 / x0**2 + 1) ** 2 * x0**2
+        bound = ball(first)
         for k in range(steps):
             b, weight = gain(k, slope), x**2 / ball(Fraction(-k, 10)).exp()
             x = slope * x * (1 - weight * b / (1 + weight * b**2))
             states.append(x)
             if k == 0:
-                bound = slope**2 / x**2
-                kept += bool(bound * 2 >= 8)  # t(1) <= 1/8
+                kept += first >= 4 and bool((x**2 * bound).overlaps(slope**2))  # so that t(1) <= 1/8
             else:
                 bound += ball(Fraction(3, k + 1))
                 kept += bool(x**2 * bound >= slope ** (2 * (k + 1)))
         # From one step to the next the bound's denominator grows by a part of at most 3 / ((k+1) s(1)).
-        first = slope**2 / states[1] ** 2
-        return Growth(tuple(states), kept, steps, slope**2 / (1 + 3 / (ball(steps + 1) * first)))
+        return Growth(tuple(states), kept, steps, slope**2 / (1 + 3 / ((steps + 1) * ball(first))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +92,8 @@ class Blended:
     """The loop whose predictor forgets its second input gain, in balls.
 
     ``x1`` (steps + 1): the first state. ``gap`` (steps): |x1(k+1) - 5/26 + (6/7)(x1(k) - 5/26)|.
-    ``bound`` (steps): what ``gap`` is proved to stay below as long as |x1| <= 2. ``plan``, ``least`` (steps): sizes of V1's
-    and of V2's solution, over |x|. ``tail``: the sum of ``bound`` over all later k.
+    ``bound`` (steps): what ``gap`` cannot exceed while |x1| <= 2. ``plan``, ``least`` (steps): the sizes of V1's and of
+    V2's solution, over |x|. ``rest``, ``later``: bounds for all later k, of |x1 - 5/26| and of both those sizes.
     """
 
     x1: tuple[arb, ...]
@@ -102,13 +101,14 @@ class Blended:
     bound: tuple[arb, ...]
     plan: tuple[arb, ...]
     least: tuple[arb, ...]
-    tail: arb
+    rest: arb
+    later: arb
 
 
 def blended(steps: int, bits: int, ratio: Fraction = Fraction(1, 2)) -> Blended:
     r"""Close the loop of V1 with A = diag(1.2, 0.5), B = (1, 0) and models of input gain :math:`(1, \beta)`.
 
-    :math:`\beta = \rho^k` with ``ratio`` :math:`\rho`, N = 2, unit weights, :math:`\epsilon(k) = 0.02^k`, x(0) = (1, 1).
+    :math:`\beta = \rho^k` with ``ratio`` :math:`\rho`, N = 2, unit weights, :math:`\epsilon(k) = 0.02^k`, x(0) = (1,1).
     Then :math:`x_2(k) = 2^{-k}`, and with :math:`\rho = 1/2` it is :math:`\beta` itself.
 
     V1 is to minimise :math:`|A x + B u_0|^2 + |u|^2 + W|Mu + f|^2` over u, with :math:`M = [AB, B]`, :math:`f = A^2x`,
@@ -116,14 +116,15 @@ def blended(steps: int, bits: int, ratio: Fraction = Fraction(1, 2)) -> Blended:
     :math:`x_1^+ - 5/26 = -(6/7)(x_1 - 5/26)`. V1's differs from it by :math:`(W M^\top M + H)^{-1}(H\bar u + g)`, with
     :math:`H = \operatorname{diag}(1+|B|^2, 1)` and :math:`g = (B^\top Ax, 0)`; so by at most
     :math:`|H\bar u + g| / (W\sigma^2)`, where :math:`\sigma^2 \ge \det(M)^2/\|M\|^2 \ge 0.49\beta^2/3.69` is the least
-    eigenvalue of :math:`M^\top M`. As :math:`W \ge x_2^2/\epsilon = 12.5^k`, this is a constant times :math:`3.125^{-k}`:
-    the deviations can be summed, and :math:`x_1` tends to 5/26.
+    eigenvalue of :math:`M^\top M`. As :math:`W \ge x_2^2/\epsilon = 12.5^k`, this is a constant times
+    :math:`3.125^{-k}`: the deviations can be summed, and :math:`x_1` tends to 5/26.
     """
     with flint().ctx.workprec(bits):
         x1, x2, limit = ball(1), ball(1), ball(Fraction(5, 26))
         a1, a2, shrink = ball(Fraction(6, 5)), ball(Fraction(1, 2)), ball(ratio)
         # |H u + g|, with |x1| <= 2, and x2 and beta the same number in [0, 1].
-        far, some = flint().arb(0, 2), between(ball(0), ball(1))
+        signs = flint().arb(0, 1)
+        far, some = 2 * signs, between(ball(0), ball(1))
         u0, u1 = _least(far, ball(1), ball(1))
         size = ((2 + some**2) * u0 + a1 * far + some * a2 * some) ** 2 + u1**2
         constant = size.abs_upper().sqrt() * ball(Fraction(369, 49))
@@ -142,7 +143,12 @@ def blended(steps: int, bits: int, ratio: Fraction = Fraction(1, 2)) -> Blended:
             x1, x2, beta, inverse_epsilon = after, a2 * x2, shrink * beta, inverse_epsilon * 50
             states.append(x1)
         tail = constant / ball(Fraction(25, 8)) ** steps / (1 - ball(Fraction(8, 25)))
-        return Blended(tuple(states), tuple(gap), tuple(bound), tuple(plan), tuple(least), tail)
+        # Later |x1 - 5/26| is at most what it is now and all that is still to come, and V1's plan within that of V2's.
+        rest = abs(x1 - limit) + tail
+        x1, off = limit + rest * signs, tail * signs
+        u0, u1 = _least(x1, ball(1), ball(1))
+        later = ((u0 + off) ** 2 + (u1 + off) ** 2).sqrt() / abs(x1)
+        return Blended(tuple(states), tuple(gap), tuple(bound), tuple(plan), tuple(least), rest, later)
 
 
 def _least(x1: arb, x2: arb, beta: arb) -> tuple[arb, arb]:
@@ -152,7 +158,7 @@ def _least(x1: arb, x2: arb, beta: arb) -> tuple[arb, arb]:
 
 
 def _planned(x1: arb, x2: arb, beta: arb, weight: arb) -> tuple[arb, arb]:
-    """Return V1's solution as V2's less (W M'M + H)^-1 (H u + g), which does not enlarge the ball of x1 again and again."""
+    """Return V1's solution as V2's less (W M'M + H)^-1 (H u + g), which hardly enlarges the ball of x1."""
     a1, a2 = ball(Fraction(6, 5)), ball(Fraction(1, 2))
     u0, u1 = _least(x1, x2, beta)
     r0, r1 = (2 + beta**2) * u0 + a1 * x1 + beta * a2 * x2, u1

@@ -25,7 +25,7 @@ Status = Literal[
     "cannot be checked",
     "no evidence",
 ]
-Method = Literal["symbolic identity", "exact arithmetic", "numerical sampling", "simulation", "none"]
+Method = Literal["symbolic identity", "exact arithmetic", "ball arithmetic", "numerical sampling", "simulation", "none"]
 
 
 @dataclass(frozen=True)
