@@ -44,6 +44,21 @@ def tell(**values: float | int | str) -> None:
             print(f"{name} = {plain}")
 
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def scientific(value: float, digits: int = 2) -> str:
+    """Return a number as prose writes it, with so many significant digits.
+
+    Examples
+    --------
+    >>> scientific(5.83e-13)
+    '5.8·10⁻¹³'
+    """
+    mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+
+
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
     """Return rows of named entries as a table for a page."""
     import pandas as pd

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rhl.errors import InputError
-from rhl.paper.pages import comparison_table, table, tell
+from rhl.paper.pages import comparison_table, scientific, table, tell
 from rhl.paper.published import Comparison
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,6 +55,14 @@ def test_numbers_told_are_plain():
 def test_no_page_says_nan(value):
     with pytest.raises(InputError, match="a must be finite to be told"):
         tell(a=value)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "written"),
+    [(5.83e-13, 2, "5.8·10⁻¹³"), (1.0, 1, "1·10⁰"), (123456.0, 4, "1.235·10⁵"), (9.99e-10, 2, "1.0·10⁻⁹")],
+)
+def test_numbers_are_written_as_in_prose(value, digits, written):
+    assert scientific(value, digits) == written
 
 
 def test_tables():

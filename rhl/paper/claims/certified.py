@@ -20,7 +20,9 @@ from rhl.paper.claims.certified_limits import Gain, blended, growth, settling, s
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence
 
 _PAGE = "notebooks/23-certified-numbers.ipynb"
-_claim = partial(Claim, page=_PAGE, test="tests/paper/claims/test_certified.py", proof=f"{_PAGE}#why-these-are-proofs")
+_claim = partial(Claim, page=_PAGE, test="tests/paper/claims/test_certified.py", proof=f"{_PAGE}#the-proof")
+
+_FOR_EVER = f"{_PAGE}#loops-that-run-for-ever"
 
 # With these the runs lose all their digits before they end.
 TOO_FEW_LINEAR, TOO_FEW_ROBOT = 1600, 3000
@@ -247,6 +249,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_lemma_4,
         control=Control("functions that do not shrink", lambda effort: check_lemma_4(effort, Fraction(1))),
+        proof=_FOR_EVER,
     ),
     _claim(
         "certified.theorem-1",
@@ -258,6 +261,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_theorem_1,
         control=Control("b(k) that tends to the true 1", lambda effort: check_theorem_1(effort, settling)),
+        proof=_FOR_EVER,
     ),
     _claim(
         "certified.theorem-1.forgetting",
@@ -269,5 +273,6 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_blended,
         control=Control("models (1, 1) of B", lambda effort: check_blended(effort, Fraction(1))),
+        proof=_FOR_EVER,
     ),
 )
