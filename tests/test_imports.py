@@ -63,6 +63,7 @@ CORE = [
 PAPER = [
     "paper",
     "paper.published",
+    "paper.formal",
     "paper.certified",
     "paper.certified_samples",
     "paper.figures",

@@ -230,6 +230,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_limit_outside,
         control=Control("f(x,k) = x^2, which does not fade", partial(check_limit_outside, ratio=Fraction(1))),
+        formal="lemma_4.bounded_away",
     ),
     _claim(
         "lemma-4.no-limit",
@@ -361,6 +362,7 @@ CLAIMS: tuple[Claim, ...] = (
         corrected=check_three_point,
         reason="As printed the gradient of g is taken at x*_k; it belongs to the proximal centre x~_k, as in (41). The "
         "two are the same only without mixing (lambda_k = 0).",
+        formal="equation_44.three_point",
     ),
     _claim(
         "eq-45",

@@ -277,6 +277,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_lemma,
         control=Control("a pair mixed in that is not controllable", lambda effort: check_lemma(effort, False)),
+        formal="lemma_5.weights_of_the_paper",
     ),
     _claim(
         "lemma-5.count",
@@ -287,6 +288,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_count,
         control=Control("one candidate fewer, against an adversary", lambda effort: check_count(effort, fewer=1)),
+        formal="lemma_5.enough_nonzero_weights",
     ),
     _claim(
         "lemma-5.sharp",
