@@ -226,6 +226,25 @@ def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Ar
     return estimator.remember(state.data, x, u)
 
 
+def proximal_centre(scheme: Scheme, previous: SignalModel) -> SignalModel:
+    """Return the centre of the estimator's step: theta~(k-1), or with a family of models the initial one at every k."""
+    return previous if scheme.family is None else scheme.initial_model
+
+
+def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data: Array) -> SignalModel:
+    """Return the member of the family that is used at k, given the estimate from the initial model."""
+    family, estimator, before = scheme.family, scheme.estimator, state.data
+    assert family is not None
+    assert isinstance(estimator, GrowingMemory)
+    assert before is not None
+    # Which one was used at k-1 follows from what was remembered then.
+    earlier = estimator.minimise(scheme.initial_model, before)
+    current = family.nearest(state.model, earlier, estimator.spread(before))
+    spread = estimator.spread(data)
+    current = np.broadcast_to(current, estimate.A.shape[:-2])
+    return family.choose(current, estimate, spread, scheme.lifting.augment)
+
+
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme, from the measured y(k), shape (..., p), to v(k).
 
@@ -264,13 +283,13 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     counted = None if scheme.units is None else scheme.units.parameters(lifting, cast(Array, size), scheme.q)
     if isinstance(estimator, GrowingMemory):
         data = remembered(scheme, state, x, u)
-        estimate = estimator.minimise(centre, data, counted)
+        estimate = estimator.minimise(proximal_centre(scheme, centre), data, counted)
     else:
         estimate = estimator.minimise(centre, x, u, state.k, counted)
     if estimate.A.shape[:-2] != lead:  # nothing is remembered yet, so that no member differs from another
         estimate = SignalModel(*(np.broadcast_to(M, (*lead, *M.shape[-2:])) for M in (estimate.A, estimate.B)))
     lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
-    model = estimate.mix(centre, lam)
+    model = estimate.mix(centre, lam) if scheme.family is None else _member(scheme, state, estimate, cast(Array, data))
     stage = np.full(lead, state.k) if state.stage is None else state.stage
     X = lifting.with_past_inputs(x[..., 0, :], v_history)
     lifted = centre if controller.model_delay else model

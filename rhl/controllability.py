@@ -10,9 +10,12 @@ import numpy as np
 
 from rhl._checks import Array, choice, describe, fraction, instance, integer, numbers, positive
 from rhl.errors import InputError, LostControllabilityError, RHLError
-from rhl.model import SignalModel
+from rhl.model import PredictorMaps, SignalModel
 
 Augment = Callable[[SignalModel], SignalModel]
+
+# Relative to the largest singular value: what rounding leaves of one that is zero is a few times 1e-16 of it.
+_ZERO = 1e-12
 
 
 def controllability_matrix(model: SignalModel) -> Array:
@@ -47,6 +50,42 @@ def controllability_margin(model: SignalModel) -> Array:
     known = np.all(np.isfinite(C), axis=(-1, -2))
     least = np.linalg.svd(np.where(known[..., None, None], C, 0.0), compute_uv=False)[..., -1]
     return np.asarray(np.where(known, least, np.nan))
+
+
+def s_plus(maps: PredictorMaps | SignalModel, horizon: int | None = None) -> Array:
+    r"""Return the smallest nonzero singular value of :math:`[B_{N-1}, \dots, B_0]`, shape (...).
+
+    For bounded maps Assumption 5(a), as a bound on the gain matrices, holds along a loop just where the infimum over k
+    of this number is positive; Theorem 1* of the book rests on it. Infinite where all of the :math:`B_i` are zero,
+    since no input is planned then; NaN where a power of A leaves the range of float64. Singular values below 1e-12 of
+    the largest count as zero, since rounding leaves them no larger.
+
+    Parameters
+    ----------
+    maps : PredictorMaps or SignalModel
+        The maps, or the model whose powers they are, equation (21).
+    horizon : int, optional
+        N, for a model.
+
+    Examples
+    --------
+    >>> deaf = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [2.0]])  # no input reaches the first state
+    >>> float(s_plus(deaf, horizon=1))
+    2.0
+    """
+    instance("maps", maps, PredictorMaps, SignalModel)
+    if isinstance(maps, PredictorMaps):
+        BB = np.concatenate(np.moveaxis(maps.B, -3, 0), axis=-1)
+    else:
+        blocks = [maps.B]
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(integer("horizon", horizon, 1) - 1):
+                blocks.append(maps.A @ blocks[-1])
+        BB = np.concatenate(blocks, axis=-1)
+    known = np.all(np.isfinite(BB), axis=(-1, -2))
+    found = np.linalg.svd(np.where(known[..., None, None], BB, 0.0), compute_uv=False)
+    counted = (found > 0) & (found > _ZERO * found[..., :1])
+    return np.asarray(np.where(known, np.min(np.where(counted, found, np.inf), axis=-1), np.nan))
 
 
 class Mixing(Protocol):
@@ -119,7 +158,9 @@ class LambdaSearch:
     lambda_max : float
         In (0, 1).
     least_margin : float
-        What counts as controllable in floating point: the smallest singular value of the controllability matrix.
+        What counts as controllable in floating point: the smallest singular value of the controllability matrix. Of the
+        augmented pair it is a lower bound of :func:`s_plus` over any horizon of n' steps or more, so that a run in
+        which the search never fails satisfies Theorem 3' of the book.
     count : {"lemma", "sharp"}
         How many candidates are tried: :math:`2n^2+1` as in the lemma, or the sharp :math:`n(n+1)/2`.
 

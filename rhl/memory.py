@@ -95,6 +95,21 @@ class GrowingMemory:
         :math:`s_i^{-2}` and errors of variance :math:`\rho`: one before anything is remembered, and near zero once the
         data tell the column from the others. ``data`` and ``size``, s, are as ``minimise`` takes them.
         """
+        root = self._root_of_spread(data, size)
+        return np.asarray(np.sum(np.square(root), axis=-1))
+
+    def spread(self, data: Array) -> Array:
+        r"""Return what the memory leaves of a distance to the centre, shape (..., n + q, n + q).
+
+        .. math:: M = \rho \, (T^\top T + \rho I)^{-1}
+
+        If the transitions obey a signal model theta, as rows [A B], then ``minimise`` with the centre theta_0 returns
+        theta - (theta - theta_0) M.
+        """
+        root = self._root_of_spread(data, None)
+        return np.asarray(root @ root.swapaxes(-1, -2))
+
+    def _root_of_spread(self, data: Array, size: Array | None) -> Array:
         from rhl.kernels import loops
 
         d = data.shape[-2]
@@ -102,7 +117,7 @@ class GrowingMemory:
         inverse = np.concatenate([triangle, np.broadcast_to(np.eye(d)[..., None], triangle.shape)], axis=1)
         loops.back_substitute(inverse, d)
         roots = np.sqrt(self.weight) * (np.ones(d) if size is None else size)
-        return np.asarray(np.square(roots) * np.sum(np.square(from_lanes(inverse[:, d:], lead)), axis=-1))
+        return np.asarray(roots[..., None] * from_lanes(inverse[:, d:], lead))
 
     def _held(self, rows: Array, size: Array | None) -> tuple[Array, tuple[int, ...]]:
         """Return, in lanes, the triangle of the rows below the roots of the generator's weights; and the batch."""

@@ -13,6 +13,7 @@ from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllab
 from rhl.disturbances import Saturation
 from rhl.errors import AssumptionWarning, InputError
 from rhl.estimator import ProximalEstimator
+from rhl.family import ModelFamily
 from rhl.horizon import factor
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares, called
@@ -157,6 +158,9 @@ class Scheme:
     set_point : SetPoint, optional
         Where the outputs are to go; the scheme then lifts distances from it and increments of the input. Where omitted,
         outputs and inputs go to zero, as in the paper.
+    family : ModelFamily, optional
+        Initial models of whose estimates one that is controllable is used (Theorem 4 of the book). The estimator must
+        be a ``GrowingMemory``, whose centre is then the initial model at every k; it must move outputs along.
     """
 
     lifting: DelayLifting
@@ -166,6 +170,7 @@ class Scheme:
     mixing: Mixing = field(default_factory=ConstantMixing)
     units: RunningUnits | None = None
     set_point: SetPoint | None = None
+    family: ModelFamily | None = None
 
     def __post_init__(self) -> None:
         for name, *kinds in (
@@ -191,6 +196,7 @@ class Scheme:
                 f"got {self.initial_model.theta.min():g}; choose one with larger entries, or another generator"
             )
         self._check_sizes_of_signals()
+        self._check_family()
         weight_matrix("Q", self.controller.Q, augmented.n)
         weight_matrix("R", self.controller.R, augmented.q)
         weight_matrix("QN", self.controller.QN, augmented.n)
@@ -214,6 +220,31 @@ class Scheme:
                 raise InputError(
                     "set_point must be None where a lifting appends basis functions, which are made for zero, got one"
                 )
+
+    def _check_family(self) -> None:
+        if self.family is None:
+            return
+        instance("family", self.family, ModelFamily)
+        constant = isinstance(self.mixing, ConstantMixing) and self.mixing.lam == 0
+        if not (isinstance(self.estimator, GrowingMemory) and constant and self.units is None):
+            raise InputError(
+                "a family of initial models must come with a GrowingMemory, no mixing and no units, got another "
+                "estimator, a mixing or units"
+            )
+        n, q = self.initial_model.n, self.initial_model.q
+        if self.family.shifts.shape[1:] != (self.p, n + q):
+            raise InputError(
+                f"the family's shifts must have shape (count, {self.p}, {n + q}), got {self.family.shifts.shape}"
+            )
+        shift = SignalModel.shift_of_ones(self.p, self.lifting.outputs, self.q, self.lifting.inputs)
+        if self.lifting.basis is not None or not all(
+            np.array_equal(of[..., self.p :, :], np.broadcast_to(M[self.p :], of[..., self.p :, :].shape))
+            for of, M in ((self.initial_model.A, shift.A), (self.initial_model.B, shift.B))
+        ):
+            raise InputError(
+                "the initial model of a family must move stacked outputs along, as SignalModel.shift_of_ones does, got "
+                "another one"
+            )
 
     def _check_units(self) -> None:
         if self.units is None:

@@ -12,8 +12,8 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, table_text, write_whole
-from rhl.closed_loop import ControllerState, Step, centre_of, replay
-from rhl.controllability import controllability_margin
+from rhl.closed_loop import ControllerState, Step, centre_of, proximal_centre, replay
+from rhl.controllability import controllability_margin, s_plus
 from rhl.errors import InputError
 from rhl.horizon import Plan
 from rhl.memory import GrowingMemory
@@ -304,7 +304,7 @@ class Trace:
         after, before, inputs = (
             np.stack(rows, axis=-2) for rows in zip(*((x[j], self._before(j), u[j]) for j in since), strict=True)
         )
-        found, centre = self._estimate(k), self._centre(k)
+        found, centre = self._estimate(k), proximal_centre(self.scheme, self._centre(k))
         return estimator.newton_decrement(found, centre, after, before, inputs, self._counted(k))
 
     def _counted(self, k: int) -> Array | None:
@@ -326,6 +326,16 @@ class Trace:
         """The same for Remark 4's augmented pair, which is the one the controller uses, shape (steps, ...)."""
         augment = self.scheme.lifting.augment
         return np.stack([controllability_margin(augment(self.model(k))) for k in range(len(self))])
+
+    @cached_property
+    def s_plus(self) -> Array:
+        """The smallest nonzero singular value of [B_{N-1}(k) ... B_0(k)] of the planned maps, shape (steps, ...).
+
+        Theorem 1* of the book asks that it stay above a positive number; see :func:`rhl.controllability.s_plus`.
+        """
+        augment, controller = self.scheme.lifting.augment, self.scheme.controller
+        used = (self._centre(k) if controller.model_delay else self.model(k) for k in range(len(self)))
+        return np.stack([s_plus(augment(model), controller.horizon) for model in used])
 
     def model(self, k: int) -> SignalModel:
         """Return theta~(k); the initial model for k = -1."""

@@ -9,10 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
-from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_margin, controllability_matrix
+from rhl.controllability import (
+    ConstantMixing,
+    LambdaSearch,
+    candidates,
+    controllability_margin,
+    controllability_matrix,
+    s_plus,
+)
 from rhl.errors import InputError, LostControllabilityError
 from rhl.lifting import DelayLifting
-from rhl.model import SignalModel
+from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims.lemma_5 import crossing_pairs
 
 SEED = 2010_05891
@@ -311,3 +318,58 @@ def test_constant_mixing():
 def test_refused(build, sentence):
     with pytest.raises(InputError, match=sentence):
         build()
+
+
+def test_s_plus_of_a_model_that_reaches_a_plane_only():
+    """[B, AB] = [[1, 2], [0, 0]] has the singular values sqrt(5) and 0, of which the second does not count."""
+    model = SignalModel([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
+    assert float(s_plus(model, horizon=2)) == pytest.approx(np.sqrt(5), rel=1e-14)
+    assert float(controllability_margin(model)) == 0
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 5])
+def test_s_plus_of_maps_and_of_their_model(horizon):
+    rng = np.random.default_rng(horizon)
+    model = SignalModel(rng.normal(size=(4, 3, 3)), rng.normal(size=(4, 3, 2)))
+    assert np.allclose(s_plus(model.predictor(horizon)), s_plus(model, horizon), rtol=1e-12)
+
+
+def test_s_plus_of_full_rank_is_the_margin_and_grows_with_the_horizon():
+    rng = np.random.default_rng(0)
+    model = SignalModel(rng.normal(size=(10, 3, 3)), rng.normal(size=(10, 3, 1)))
+    found = [s_plus(model, horizon) for horizon in (3, 4, 6)]
+    assert np.allclose(found[0], controllability_margin(model), rtol=1e-9)
+    assert np.all(np.diff(found, axis=0) >= -1e-12)
+
+
+def test_s_plus_where_no_input_acts_and_where_a_power_overflows():
+    assert float(s_plus(SignalModel(np.eye(2), np.zeros((2, 1))), 3)) == np.inf
+    assert np.isnan(s_plus(SignalModel([[1e200]], [[1e200]]), 3))
+    maps = PredictorMaps(np.stack([np.eye(1), np.eye(1)]), np.zeros((1, 1, 1)))
+    assert float(s_plus(maps)) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: s_plus(np.eye(2)), "maps must be a PredictorMaps"),
+        (lambda: s_plus(SignalModel([[1.0]], [[1.0]])), "horizon must be an integer"),
+        (lambda: s_plus(SignalModel([[1.0]], [[1.0]]), 0), "horizon must be an integer"),
+    ],
+)
+def test_s_plus_refuses(call, sentence):
+    with pytest.raises(InputError, match=sentence):
+        call()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_the_search_holds_is_a_lower_bound_of_s_plus(seed):
+    """The augmented pair that Lemma 5 keeps above a margin has an s+ above it over any longer horizon."""
+    rng, lifting = np.random.default_rng(seed), DelayLifting(2, 2)
+    previous = SignalModel(rng.normal(size=(2, 2)), rng.normal(size=(2, 2)))
+    lost = SignalModel(rng.normal(size=(2, 2)), np.zeros((2, 2)))
+    least = 0.5 * float(controllability_margin(lifting.augment(previous)))
+    search = LambdaSearch(least_margin=1e-3 * least)
+    kept = lifting.augment(lost.mix(previous, search.choose(lost, previous, lifting.augment)))
+    for horizon in (3, 6, 12):
+        assert float(s_plus(kept, horizon)) >= search.least_margin

@@ -44,6 +44,7 @@ CORE = [
     "memory",
     "units",
     "controllability",
+    "family",
     "_riccati",
     "problems",
     "_bounded",
@@ -89,8 +90,12 @@ PAPER = [
             "lemma_5",
             "lemma_6",
             "theorem_1",
+            "contraction",
+            "theorem_1_star",
             "theorem_2",
             "theorem_3",
+            "theorem_3_prime",
+            "theorem_4",
             "simulations",
             "certified_limits",
             "certified",
@@ -136,6 +141,7 @@ ORDER = [*CORE, *STUDY, *PAPER, *APP, "__main__"]
 PLANTS = {name for name in CORE if name.partition(".")[0] == "plants"}
 FORBIDDEN = {
     "controllability": {"estimator", "losses", *PLANTS},
+    "family": {"estimator", "memory", "losses", "lifting", *PLANTS},
     "horizon": {"estimator", "controllability", "lifting", *PLANTS},
     "scheme": PLANTS,
     "estimator": {"lifting", *PLANTS},

@@ -9,7 +9,7 @@ import pytest
 
 from rhl._files import header, write_whole
 from rhl.closed_loop import closed_loop, replay
-from rhl.controllability import controllability_margin
+from rhl.controllability import controllability_margin, s_plus
 from rhl.errors import InputError
 from rhl.paper.published import linear_example, robot_arm
 from rhl.simulation import simulate
@@ -77,6 +77,14 @@ def test_margins(trace):
         assert trace.margin_lifted[k] == controllability_margin(done.model)
         assert trace.margin_augmented[k] == controllability_margin(LINEAR.scheme.lifting.augment(done.model))
     assert np.max(np.abs(trace.margin_lifted - trace.margin_augmented)) > 0.1
+
+
+def test_s_plus_is_that_of_the_maps_that_plans_used(trace, robot):
+    for run in (trace, robot):
+        assert run.s_plus.shape == (len(run),)
+        for k in (0, 2, len(run) - 1):
+            problem = run.steps[k].problem
+            assert run.s_plus[k] == pytest.approx(float(s_plus(problem.model, problem.horizon)), rel=1e-9)
 
 
 def test_plans_on_demand(trace):

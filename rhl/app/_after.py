@@ -137,6 +137,7 @@ def of_models(trace: Trace) -> Iterator[Finding]:
             says += f", below {LOST:g} at {len(lost)} of {len(trace)} steps, first at k = {lost[0]}"
         lacking: Verdict = "suspect" if scheme.units is None else "outside"
         yield Finding(f"Theorem 2(iii), {name} pair stays controllable", lacking if len(lost) else "met", says)
+    yield _of_s_plus(trace)
     misfit = _misfit(trace)
     if misfit is not None:
         yield Finding(
@@ -166,6 +167,19 @@ def of_models(trace: Trace) -> Iterator[Finding]:
     )
     if scheme.controller.adaptive:
         yield Finding("Adaptive weight", "note", f"epsilon was let fall {int(trace.steps[-1].stage)} times")
+
+
+def _of_s_plus(trace: Trace) -> Finding:
+    """Report the number that Theorem 1* of the book rests on, over the run and at its end."""
+    found, end = trace.s_plus, max(1, len(trace) // _END)
+    known = np.isfinite(found)
+    least = float(np.min(found[known])) if np.any(known) else 0.0
+    late = found[-end:][known[-end:]]
+    says = f"the smallest nonzero singular value of the planned maps is {least:.3g} over the run"
+    if len(late):
+        says += f", {np.min(late):.3g} in the last {end} steps"
+    lacking: Verdict = "suspect" if trace.scheme.units is None else "outside"
+    return Finding("Theorem 1*, inf s+ > 0", "met" if least >= LOST else lacking, says)
 
 
 def _gain(done: Step) -> float:

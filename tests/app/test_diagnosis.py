@@ -332,3 +332,15 @@ def test_hints_where_a_run_did_not_end_at_rest():
     )
     window = simulate(SCHEME, deaf, [1.0, 0.5], 60)
     assert "it grew: give order in place of" in says(diagnose_run(window), subject)
+
+
+def test_s_plus_is_reported_and_suspect_where_it_is_lost():
+    example = linear_example()
+    run = simulate(example.scheme, example.plant, example.z0, 40)
+    (found,) = (one for one in diagnose_run(run).findings if one.subject == "Theorem 1*, inf s+ > 0")
+    assert found.verdict == "met"
+    assert f"{np.min(run.s_plus):.3g} over the run" in found.says
+    lost = replace(run.models, model=run.models.model * np.where(np.arange(8) < 4, 1.0, 1e-10))
+    run = replace(run, models=lost)
+    (found,) = (one for one in diagnose_run(run).findings if one.subject == "Theorem 1*, inf s+ > 0")
+    assert found.verdict == "suspect"

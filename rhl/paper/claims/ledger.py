@@ -18,8 +18,11 @@ from rhl.paper.claims import (
     lemma_6,
     simulations,
     theorem_1,
+    theorem_1_star,
     theorem_2,
     theorem_3,
+    theorem_3_prime,
+    theorem_4,
 )
 from rhl.paper.claims.claim import Claim, Effort, Judgement, judge
 
@@ -34,11 +37,14 @@ CLAIMS: tuple[Claim, ...] = tuple(
         lemma_2,
         lemma_3,
         theorem_1,
+        theorem_1_star,
         lemma_4,
         lemma_5,
         theorem_2,
         lemma_6,
         theorem_3,
+        theorem_3_prime,
+        theorem_4,
         simulations,
         certified,
     )

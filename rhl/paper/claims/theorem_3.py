@@ -72,6 +72,24 @@ def check_convergence(effort: Effort, reachable: bool = True) -> Evidence:
     return Evidence(len(ratios), float(np.max(ratios)), _SETTLED, "slow modes still decay when the runs end")
 
 
+def never_acts(initial: SignalModel) -> Trace:
+    """Run the scheme on z+ = 2z + v, y = z, z(0) = 1, with m = 1 and no mixing, 40 steps."""
+    return simulate(scheme_for(1, initial), LinearPlant(2 * np.eye(1), np.eye(1), np.eye(1)), [1.0], 40)
+
+
+def check_never_acts(effort: Effort, A: float = 0.0, B: float = 0.0) -> Evidence:
+    """Run the scheme of Theorem 3 as printed on z+ = 2z + v from an initial model; it must end at rest.
+
+    ``effort`` is not used: nothing is drawn. ``A``, ``B``: the initial model; zero is not controllable. The gains of
+    the plans, which Assumption 5(b) bounds, must stay bounded, or the run is no evidence.
+    """
+    trace = never_acts(SignalModel(np.array([[A]]), np.array([[B]])))
+    gains = [float(np.max(np.abs(np.concatenate([done.plan.u, done.plan.x[:-1]], axis=1)))) for done in trace.steps]
+    if not np.max(np.array(gains) / np.abs(trace.y[:, 0])) < 1e7:
+        return Evidence(0, np.nan, why="the gains of the plans are not bounded")
+    return Evidence(1, float(end_over_peak(trace)), _SETTLED, "slow modes still decay when the runs end")
+
+
 def check_peaking(effort: Effort, known: bool = False) -> Evidence:
     """Look whether the median run's state grows at least tenfold before it settles.
 
@@ -118,7 +136,36 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-3",
         "Theorem 3",
         "mainthm",
-        "On unknown plants the scheme brings state and input to zero; seen: below a tenth of their peak in 400 steps.",
+        "Under Assumptions 1, 3, 5(b) and 6 the scheme brings state and input of an unknown plant to zero.",
+        method="simulation",
+        recorded="refuted",
+        stated=check_never_acts,
+        control=Control("A(0) = 1 and B(0) = 0", lambda effort: check_never_acts(effort, A=1.0)),
+        instance=Control(
+            "the controllable initial model A(0) = B(0) = 1", lambda effort: check_never_acts(effort, 1.0, 1.0)
+        ),
+        reason="It must ask for a controllable initial model and for mixing: for z+ = 2z + v, y = z, m = 1, "
+        "A(0) = B(0) = 0 and lambda = 0, no input is ever applied, A(k) tends to 2, the gains are bounded, and "
+        "z(k) = 2^k z(0). "
+        "And what must stay controllable is the augmented pair (theorem-2.iii). What holds is theorem-3.prime.",
+        uses=(
+            "assumption-1",
+            "assumption-3",
+            "assumption-5",
+            "assumption-6",
+            "lemma-6",
+            "remark-4",
+            "theorem-1",
+            "theorem-2.i",
+            "theorem-2.ii",
+            "theorem-2.iii",
+        ),
+    ),
+    _claim(
+        "theorem-3.runs",
+        "Theorem 3",
+        "mainthm",
+        "On a hundred random unknown plants state and input come down to a tenth of their peak in 400 steps.",
         method="simulation",
         recorded="observed",
         stated=check_convergence,

@@ -1,0 +1,145 @@
+"""A family of initial models, one of whose estimates stays controllable: a scheme that needs no Assumption 5."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from math import comb
+
+import numpy as np
+
+from rhl._checks import Array, fraction, instance, integer, positive, real_array
+from rhl.controllability import Augment, controllability_margin
+from rhl.errors import InputError
+from rhl.model import SignalModel
+
+# What a step may look at: above this, one step of the search takes longer than most plants are sampled.
+_MOST = 50_000
+
+
+@dataclass(frozen=True, eq=False)
+class ModelFamily:
+    r"""Initial models around the given one, of whose estimates the controller uses one that is controllable.
+
+    With the fixed centre :math:`\theta_0`, the estimate of all data, as rows [A B], obeys
+
+    .. math::
+        \hat\theta(k) = \theta - (\theta - \theta_0) M(k), \qquad M(k) = \rho \, (\Phi_k^\top \Phi_k + \rho I)^{-1},
+
+    where theta is the plant's own signal model and the rows of :math:`\Phi_k` are the data [x; u] up to k. The estimate
+    from :math:`\theta_0 + G` is therefore :math:`\hat\theta(k) + G M(k)`. For :math:`G^* = \theta - \theta_0`, which is
+    unknown, it is theta at every k. Each minor of the controllability matrix is a polynomial in G whose value at
+    :math:`G^*` never changes; on a finite set of G that determines such polynomials it cannot be small throughout. The
+    member in use is changed only where its margin falls below a share of the largest one, so that changes become ever
+    rarer. This is Theorem 4 of the book, not the paper's.
+
+    Parameters
+    ----------
+    shifts : array_like, shape (count, p, n + N_v q)
+        What is added to the first p rows of the initial model's [A B]; one of them must be zero.
+    hysteresis : float
+        In (0, 1): the share of the largest margin that the member in use must keep.
+
+    Examples
+    --------
+    >>> family = ModelFamily.grid(p=1, outputs=1, q=1, inputs=1)
+    >>> family.shifts.shape
+    (2, 1, 2)
+    """
+
+    shifts: Array
+    hysteresis: float = 0.01
+
+    def __post_init__(self) -> None:
+        shifts = real_array("shifts", self.shifts, (None, None, None))
+        if shifts.ndim != 3 or not np.any(np.all(shifts == 0, axis=(1, 2))):
+            raise InputError(
+                f"shifts must have shape (count, p, n + N_v q) with one that is zero, got shape {shifts.shape}"
+                + ("" if shifts.ndim != 3 else " and none")
+            )
+        object.__setattr__(self, "shifts", shifts)
+        positive("hysteresis", self.hysteresis)
+        fraction("hysteresis", self.hysteresis)
+
+    @classmethod
+    def grid(
+        cls, p: int, outputs: int, q: int, inputs: int, size: float = 1.0, hysteresis: float = 0.01
+    ) -> ModelFamily:
+        """Return a grid that determines every polynomial of the degrees that Theorem 4 needs.
+
+        With one input and output and equally many of both stacked, n, the determinant of the augmented pair's
+        controllability matrix is the resultant of numerator and denominator, of degree n - 1 in the coefficients of
+        past outputs and n in those of inputs; otherwise its minors have the degree of Lemma 5 at most. ``size`` is the
+        largest entry of a shift. InputError if the grid would have more than 50,000 members.
+        """
+        for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
+            integer(name, value, 1)
+        positive("size", size)
+        of_y, of_v = p * outputs, q * inputs
+        if p == q == 1 and outputs == inputs:
+            parts = [(of_y, outputs - 1), (of_v, outputs)]
+        else:
+            n = of_y + q * (inputs - 1)
+            parts = [(p * (of_y + of_v), sum(n - i // q for i in range(n)))]
+        count = 1
+        for variables, degree in parts:
+            count *= comb(variables + degree, degree)
+        if count > _MOST:
+            raise InputError(
+                f"the grid must have at most {_MOST} members, got {count} for these sizes; give shifts of your own"
+            )
+        columns = [_lower_set(variables, degree) for variables, degree in parts]
+        points = [np.concatenate(point) for point in product(*columns)]
+        return cls(size * np.reshape(points, (count, p, of_y + of_v)), hysteresis)
+
+    def members(self, estimate: SignalModel, spread: Array) -> SignalModel:
+        """Return the estimates from all initial models, shape (..., count): theta^ + G M."""
+        p, d = self.shifts.shape[1:]
+        moved = np.concatenate([estimate.A, estimate.B], axis=-1)[..., None, :, :] + np.zeros((len(self.shifts), 1, 1))
+        moved[..., :p, :] += self.shifts @ spread[..., None, :, :]
+        return SignalModel(moved[..., : estimate.n], moved[..., estimate.n : d])
+
+    def nearest(self, model: SignalModel, estimate: SignalModel, spread: Array) -> np.ndarray:
+        """Return the index of the member that a model is, shape (...)."""
+        members = self.members(estimate, spread)
+        gaps = [np.max(np.abs(of - one[..., None, :, :]), axis=(-1, -2)) for of, one in _pairs(members, model)]
+        return np.asarray(np.argmin(np.maximum(*gaps), axis=-1))
+
+    def choose(self, current: np.ndarray, estimate: SignalModel, spread: Array, augment: Augment) -> SignalModel:
+        """Return the member in use: the current one, or the best where its margin has become too small.
+
+        ``current`` is its index, shape (...), and ``augment`` is Remark 4's augmentation.
+        """
+        instance("estimate", estimate, SignalModel)
+        members = self.members(estimate, spread)
+        margins = np.nan_to_num(controllability_margin(augment(members)))
+        own = np.take_along_axis(margins, current[..., None], axis=-1)[..., 0]
+        kept = own >= self.hysteresis * np.max(margins, axis=-1)
+        at = np.where(kept, current, np.argmax(margins, axis=-1))[..., None, None, None]
+        return SignalModel(*(np.take_along_axis(M, at, axis=-3)[..., 0, :, :] for M in (members.A, members.B)))
+
+
+def _pairs(members: SignalModel, model: SignalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    return (members.A, model.A), (members.B, model.B)
+
+
+def _nodes(count: int) -> list[float]:
+    """Return different numbers in [-1, 1], zero first, then from the outside: 0, 1, -1, 1/2, -1/2, 3/4, ..."""
+    found, level = [0.0, 1.0, -1.0], 2
+    while len(found) < count:
+        for i in range(1, level, 2):
+            found += [i / level, -i / level]
+        level *= 2
+    return found[:count]
+
+
+def _lower_set(variables: int, degree: int) -> list[Array]:
+    """Return points that determine each polynomial of total degree at most ``degree``, zero first.
+
+    On nodes whose indices form a lower set, here those with a sum of at most ``degree``, interpolation is unique.
+    """
+    nodes = np.array(_nodes(degree + 1))
+    indices: list[list[int]] = [[]]
+    for _ in range(variables):
+        indices = [[*head, i] for head in indices for i in range(degree + 1 - sum(head))]
+    return [nodes[index] for index in indices]

@@ -1,0 +1,196 @@
+r"""Theorem 1*: closed loops of V1 with changing maps, and every number of the proof that they contract.
+
+The proof bounds :math:`S(k) = \sqrt{V_3(x(k), r(k))}`, r(k) being where V1's plan ends, by
+
+.. math::
+    S(k+1) \le \sqrt{q_k^2 S(k)^2 + c_r^2 |r(k)|^2} + \sqrt{\lambda_{\max}(Q)}\,|w(k)|
+        + \sqrt{\Lambda}\, M_{k+1} |r(k+1) - \tilde r(k+1)|, \qquad q_k^2 = 1 - \frac{\lambda_{\min}(Q)}{\Lambda M_k^2}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rhl._checks import Array
+from rhl.controllability import s_plus
+from rhl.horizon import solve
+from rhl.model import PredictorMaps, SignalModel
+from rhl.problems import V1, V2
+
+Models = Callable[[int], SignalModel]
+
+
+@dataclass(frozen=True, eq=False)
+class Loops:
+    """What closed loops of V1 are made of, many at once.
+
+    ``plant``: x+ = Ax + Bu, shapes (loops, n, n), (loops, n, q). ``models``: k -> the model whose powers are the maps.
+    ``Q``, ``R``, ``QN``: weights, shapes (loops, n, n), (loops, q, q), (loops, n, n). ``epsilon``: k -> eps(k).
+    ``x0`` (loops, n): initial states. ``horizon``: N. Gamma is x'x.
+    """
+
+    plant: SignalModel
+    models: Models
+    Q: Array
+    R: Array
+    QN: Array
+    epsilon: Callable[[int], float]
+    x0: Array
+    horizon: int
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Loops that ran, over k = 0 ... T-1 (states also at T).
+
+    ``x`` (T+1, loops, n), ``u`` (T, loops, q): states and inputs.
+    ``A`` (T, loops, N+1, n, n), ``B`` (T, loops, N, n, q): the maps of (5).
+    ``xi`` (T, loops, N+1, n), ``nu`` (T, loops, N, q): plans.
+    ``best`` (T, loops): V2(x(k)). ``stages`` (T, loops): V3(x(k), r(k)), the stage costs of the plan.
+    """
+
+    loops: Loops
+    x: Array
+    u: Array
+    A: Array
+    B: Array
+    xi: Array
+    nu: Array
+    best: Array
+    stages: Array
+
+    @property
+    def r(self) -> Array:
+        """The planned terminal states r(k), shape (T, loops, n)."""
+        return self.xi[..., -1, :]
+
+    @property
+    def error(self) -> Array:
+        """e_1(k) of (8): where the plan ends its first step less where the plant ends it, shape (T, loops, n)."""
+        return self.xi[..., 1, :] - self.x[1:]
+
+
+def run(loops: Loops, steps: int) -> Run:
+    """Close the loops of V1 for some steps."""
+    x, rows = loops.x0, []
+    for k in range(steps):
+        maps = loops.models(k).predictor(loops.horizon)
+        weight = np.sum(x**2, axis=-1) / loops.epsilon(k)
+        plan = solve(V1(maps, loops.Q, loops.R, loops.QN, weight, loops.horizon), x)
+        best = solve(V2(maps, loops.QN, loops.horizon), x).value
+        stages = np.sum(_forms(plan.x[..., :-1, :], loops.Q[:, None]), axis=-1)
+        stages = stages + np.sum(_forms(plan.u, loops.R[:, None]), axis=-1)
+        rows.append((x, plan.u[..., 0, :], maps.A, maps.B, plan.x, plan.u, best, stages))
+        x = loops.plant.step(x, plan.u[..., 0, :])
+    columns = [np.stack(column) for column in zip(*rows, strict=True)]
+    columns[0] = np.concatenate([columns[0], x[None]])
+    return Run(loops, *columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    r"""The constants of the proof, shape (...), for maps, weights and s+; see ``constants``.
+
+    ``M``: :math:`V_3(x, r) \le \Lambda M^2 (|x|^2 + |r|^2)` for all feasible (x, r).
+    ``C2``: some solution of V2 has :math:`\sum_{i<N} |\xi_i|^2 + |\nu_i|^2 \le C_2^2 |x|^2`.
+    ``top``: :math:`\Lambda = \max(\lambda_{\max}(Q), \lambda_{\max}(R))`. ``low``, ``high``: smallest and largest
+    eigenvalue of Q.
+    """
+
+    M: Array
+    C2: Array
+    top: Array
+    low: Array
+    high: Array
+
+    @property
+    def rate(self) -> Array:
+        r"""The contraction factor :math:`q = \sqrt{1 - \lambda_{\min}(Q)/(\Lambda M^2)}`, below one."""
+        return np.sqrt(np.maximum(1 - self.low / (self.top * self.M**2), 0.0))
+
+
+def constants(A: Array, B: Array, Q: Array, R: Array, QN: Array, s: Array | None = None) -> Constants:
+    r"""Return the constants of Theorem 1* for maps A, shape (..., N+1, n, n), and B, shape (..., N, n, q).
+
+    With :math:`\alpha = |[A_0; \dots; A_{N-1}]|`, :math:`\beta` the norm of the map from the inputs to
+    :math:`\xi_0 \dots \xi_{N-1}`, and s+ the smallest nonzero singular value of :math:`[B_{N-1} \dots B_0]`:
+
+    .. math::
+        M^2 = \Bigl(\alpha + \frac{(1+\beta)|A_N|}{s_+}\Bigr)^2 + \Bigl(\frac{1+\beta}{s_+}\Bigr)^2, \qquad
+        C_2 = \alpha + \frac{(1+\beta)|A_N|}{s_+}\bigl(1 + \sqrt{\operatorname{cond} Q_N}\bigr).
+
+    ``s``, shape (...), is taken for s+ where it is given.
+    """
+    N, n, q = B.shape[-3:]
+    free = np.linalg.norm(A[..., :N, :, :].reshape(*A.shape[:-3], N * n, n), 2, axis=(-1, -2))
+    forced = np.zeros((*B.shape[:-3], N, n, N, q))
+    for i in range(1, N):
+        for j in range(i):
+            forced[..., i, :, j, :] = B[..., i - 1 - j, :, :]
+    beta = np.linalg.norm(forced.reshape(*B.shape[:-3], N * n, N * q), 2, axis=(-1, -2))
+    last = np.linalg.norm(A[..., N, :, :], 2, axis=(-1, -2))
+    reach = (1 + beta) / (s_plus(PredictorMaps(A, B)) if s is None else s)
+    of_Q, of_R, of_QN = (np.linalg.eigvalsh(weight) for weight in (Q, R, QN))
+    M = np.hypot(free + reach * last, reach)
+    C2 = free + reach * last * (1 + np.sqrt(of_QN[..., -1] / of_QN[..., 0]))
+    low, high = (np.asarray(of_Q[..., i], dtype=np.float64) for i in (0, -1))
+    return Constants(M, C2, np.maximum(high, of_R[..., -1]), low, high)
+
+
+def ends_excess(run: Run) -> Array:
+    r"""Return by how much (12) is exceeded with :math:`\rho = \Lambda C_2^2`, relative, shape (T, loops)."""
+    at, loops = constants(run.A, run.B, run.loops.Q, run.loops.R, run.loops.QN), run.loops
+    epsilon = np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
+    reached = _forms(run.r, loops.QN)
+    allowed = run.best + epsilon * at.top * at.C2**2
+    return np.asarray((reached - allowed) / (reached + allowed))
+
+
+@dataclass(frozen=True, eq=False)
+class Shifted:
+    """The plan of k, shifted, under the maps of k+1; over k = 0 ... T-2.
+
+    ``w`` (T-1, loops, N+1, n): what (28) says that the new predictions differ by, from e_1 and the maps' differences.
+    ``found`` (T-1, loops, N+1, n): the new predictions less the old ones of the step after; the last is r~+ - A_1 r.
+    ``end`` (T-1, loops, n): r~+, where the shifted plan ends.
+    """
+
+    w: Array
+    found: Array
+    end: Array
+
+
+def shifted(run: Run) -> Shifted:
+    """Return the shifted plans with what (28) says of them."""
+    A, B, next_A, next_B = run.A[:-1], run.B[:-1], run.A[1:], run.B[1:]
+    N, q = B.shape[-3], B.shape[-1]
+    inputs = np.concatenate([run.nu[:-1, :, 1:], np.zeros((*run.nu[:-1].shape[:2], 1, q))], axis=-2)
+    new = PredictorMaps(next_A, next_B).predict(run.x[1:-1], inputs)
+    after = np.einsum("...ab,...b->...a", A[..., 1, :, :], run.r[:-1])
+    old = np.concatenate([run.xi[:-1, :, 1:], after[..., None, :]], axis=-2)
+    moved = np.einsum("...iab,...b->...ia", next_A - A, run.xi[:-1, :, 1])
+    w = moved - np.einsum("...iab,...b->...ia", next_A, run.error[:-1])
+    for i in range(1, N + 1):
+        change = (next_B - B)[..., :i, :, :][..., ::-1, :, :]  # i - 1 - l for the input l
+        w[..., i, :] += np.einsum("...lab,...lb->...a", change, inputs[..., :i, :])
+    return Shifted(w, new - old, new[..., -1, :])
+
+
+def step_excess(run: Run, share: float = 1.0) -> Array:
+    """Return S(k+1) less its bound, relative to it, shape (T-1, loops); ``share`` of q_k is what the bound is given."""
+    loops, r, moved = run.loops, run.r, shifted(run)
+    at = constants(run.A, run.B, loops.Q, loops.R, loops.QN)
+    S = np.sqrt(run.stages)
+    kept = (share * at.rate[:-1] * S[:-1]) ** 2 + (at.low + at.high) * np.sum(r[:-1] ** 2, axis=-1)
+    w = np.sqrt(at.high) * np.sqrt(np.sum(moved.w[..., :-1, :] ** 2, axis=(-1, -2)))
+    ends = np.sqrt(at.top) * at.M[1:] * np.linalg.norm(r[1:] - moved.end, axis=-1)
+    bound = np.sqrt(kept) + w + ends
+    return np.asarray(S[1:] / bound - 1)
+
+
+def _forms(rows: Array, weight: Array) -> Array:
+    """Return x'Wx for rows x, shape (..., n)."""
+    return np.asarray(np.einsum("...a,...ab,...b->...", rows, weight, rows))
