@@ -8,6 +8,8 @@ import pytest
 
 from rhl.paper import formal
 from rhl.paper.claims import ledger
+from rhl.paper.claims.claim import Judgement
+from rhl.paper.pages import ledger_table
 from tests.conftest import ROOT
 from tools import proofs
 
@@ -56,6 +58,15 @@ def test_the_ledger_names_theorems_that_are_on_record_and_on_the_page():
     assert set(named) <= set(formal.record().theorems)
     page = PAGE.read_text(encoding="utf-8")
     assert [name for name in formal.record().theorems if f"({formal.anchor(name)})=" not in page] == []
+
+
+def test_the_ledger_links_to_the_theorem():
+    (claim,) = ledger.select(["lemma-5.count"])
+    judged = Judgement(claim, "holds", None, None, None, "", 0.0)
+    assert judged.status == "machine-checked"
+    row = ledger_table([judged])
+    assert 'href="checked-by-machine.html#lemma-5-enough-nonzero-weights"' in row
+    assert "checked-by-machine" not in ledger_table([replace(judged, claim=replace(claim, formal=""))])
 
 
 def test_false_theorems_change_what_stands_in_the_files():

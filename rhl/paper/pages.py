@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhl.errors import InputError
+from rhl.paper.formal import anchor
 from rhl.paper.published import Comparison
 
 if TYPE_CHECKING:
@@ -57,6 +58,18 @@ def scientific(value: float, digits: int = 2) -> str:
     """
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+
+
+def grouped(digits: str, by: int = 5) -> str:
+    """Return a decimal number with a space after every few places, at which a line may break.
+
+    Examples
+    --------
+    >>> grouped("-3.27391669925")
+    '−3.27391 66992 5'
+    """
+    whole, point, places = digits.replace("-", "−").partition(".")
+    return whole + point + " ".join(places[i : i + by] for i in range(0, len(places), by))
 
 
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
@@ -109,6 +122,8 @@ def _ledger_row(judgement: Judgement) -> str:
         says.append(f"<b>{judgement.verdict}</b>.")
     if claim.reason:
         says.append(html.escape(claim.reason))
+    if claim.formal:
+        links.append((f"checked-by-machine.html#{anchor(claim.formal)}", "checked by machine"))
     says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
     item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
     return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rhl.errors import InputError
-from rhl.paper.pages import comparison_table, scientific, table, tell
+from rhl.paper.pages import comparison_table, grouped, scientific, table, tell
 from rhl.paper.published import Comparison
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,6 +63,11 @@ def test_no_page_says_nan(value):
 )
 def test_numbers_are_written_as_in_prose(value, digits, written):
     assert scientific(value, digits) == written
+
+
+def test_long_numbers_may_break():
+    assert grouped("-12.345678901", 3) == "−12.345 678 901"
+    assert grouped("7") == "7"
 
 
 def test_tables():
