@@ -234,7 +234,8 @@ CLAIMS: tuple[Claim, ...] = (
         "certified.float64",
         "text",
         "",
-        "In float64 the library's runs of both examples are provably within 1e-12 of the exact ones throughout.",
+        "In float64 the library's outputs, inputs and predictions of both examples are provably within 1e-12 of the "
+        "exact ones.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_float64,
