@@ -11,7 +11,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test serve site pdf verify bench campaign lock clean
+.PHONY: help env book test serve site pdf verify proofs bench campaign lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -43,6 +43,9 @@ verify: env ## every claim of the paper, and both simulations against its publis
 	rhl reproduce linear
 	rhl reproduce robot
 	rhl verify
+
+proofs: ## have Coq check the theorems of proofs/ and say what they rest on; needs Debian's coq, libcoq-mathcomp-algebra
+	@$(PYTHON) tools/proofs.py
 
 bench: env ## measure how fast the library is
 	pytest benchmarks --benchmark-only

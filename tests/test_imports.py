@@ -64,6 +64,9 @@ CORE = [
 PAPER = [
     "paper",
     "paper.published",
+    "paper.formal",
+    "paper.certified",
+    "paper.certified_samples",
     "paper.figures",
     "paper.claims",
     "paper.claims.claim",
@@ -101,6 +104,8 @@ PAPER = [
             "theorem_3_prime",
             "theorem_4",
             "simulations",
+            "certified_limits",
+            "certified",
         )
     ),
     "paper.claims.ledger",
@@ -157,7 +162,20 @@ FORBIDDEN = {
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.
-HEAVY = ("numba", "scipy", "rich", "pandas", "sympy", "control", "matplotlib", "dask", "distributed", "xarray", "zarr")
+HEAVY = (
+    "flint",
+    "numba",
+    "scipy",
+    "rich",
+    "pandas",
+    "sympy",
+    "control",
+    "matplotlib",
+    "dask",
+    "distributed",
+    "xarray",
+    "zarr",
+)
 
 
 def name_of(path):

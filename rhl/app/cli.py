@@ -46,7 +46,7 @@ OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 _TOO_LARGE = "the run must fit into memory"
 # Packages that some commands need, and the extra that brings them.
 _EXTRAS = {
-    **{"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper"},
+    **{"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper", "flint": "paper"},
     **dict.fromkeys(("dask", "distributed", "xarray", "zarr"), "study"),
 }
 
@@ -181,7 +181,12 @@ def _parser() -> argparse.ArgumentParser:
     schema.set_defaults(command=_schema, plot=None)
 
     verify = commands.add_parser("verify", allow_abbrev=False, help="check every claim of the paper, or some")
-    verify.add_argument("ids", nargs="*", metavar="ID", help="claims to check; all where none is named")
+    verify.add_argument(
+        "ids",
+        nargs="*",
+        metavar="ID",
+        help="claims to check, or patterns such as 'certified.*'; all where none is named",
+    )
     verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
     verify.add_argument(
         "--json",

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhl.errors import InputError
+from rhl.paper.formal import anchor
 from rhl.paper.published import Comparison
 
 if TYPE_CHECKING:
@@ -59,6 +60,18 @@ def scientific(value: float, digits: int = 2) -> str:
     """
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+
+
+def grouped(digits: str, by: int = 5) -> str:
+    """Return a decimal number with a space after every few places, at which a line may break.
+
+    Examples
+    --------
+    >>> grouped("-3.27391669925")
+    '−3.27391 66992 5'
+    """
+    whole, point, places = digits.replace("-", "−").partition(".")
+    return whole + point + " ".join(places[i : i + by] for i in range(0, len(places), by))
 
 
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
@@ -138,6 +151,8 @@ def _ledger_row(judgement: Judgement) -> str:
     says += [readable(words) for words in (judgement.problem, claim.reason) if words]
     if claim.uses:
         says.append("Uses " + ", ".join(f'<a href="#{id}">{id}</a>' for id in claim.uses) + ".")
+    if claim.formal:
+        links.append((f"checked-by-machine.html#{anchor(claim.formal)}", "checked by machine"))
     says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
     item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
     return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'
@@ -167,9 +182,6 @@ def findings_table(claims: Iterable[Claim]) -> str:
         ]
     head = "<tr><th>where</th><th>what is said, and what is found</th></tr>"
     return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
-
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float) -> str:

@@ -14,9 +14,11 @@ from rhl.paper.pages import (
     badge,
     comparison_table,
     findings_table,
+    grouped,
     ledger_table,
     number,
     readable,
+    scientific,
     status_counts,
     table,
     tell,
@@ -67,6 +69,19 @@ def test_numbers_told_are_plain():
 def test_no_page_says_nan(value):
     with pytest.raises(InputError, match="a must be finite to be told"):
         tell(a=value)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "written"),
+    [(5.83e-13, 2, "5.8·10⁻¹³"), (1.0, 1, "1·10⁰"), (123456.0, 4, "1.235·10⁵"), (9.99e-10, 2, "1.0·10⁻⁹")],
+)
+def test_numbers_are_written_as_in_prose(value, digits, written):
+    assert scientific(value, digits) == written
+
+
+def test_long_numbers_may_break():
+    assert grouped("-12.345678901", 3) == "−12.345 678 901"
+    assert grouped("7") == "7"
 
 
 def test_tables():

@@ -26,7 +26,7 @@ Status = Literal[
     "no evidence",
 ]
 Kind = Literal["statement", "hypothesis", "definition"]
-Method = Literal["symbolic identity", "exact arithmetic", "numerical sampling", "simulation", "none"]
+Method = Literal["symbolic identity", "exact arithmetic", "ball arithmetic", "numerical sampling", "simulation", "none"]
 
 
 @dataclass(frozen=True)

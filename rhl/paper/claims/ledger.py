@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from fnmatch import fnmatchcase
 from typing import Any
 
 from rhl.errors import InputError
 from rhl.paper.claims import (
     assumption_4,
+    certified,
     lemma_1,
     lemma_2,
     lemma_3,
@@ -47,6 +49,7 @@ CLAIMS: tuple[Claim, ...] = tuple(
         theorem_3_prime,
         theorem_4,
         simulations,
+        certified,
     )
     for claim in module.CLAIMS
 )
@@ -58,13 +61,14 @@ ALIASES = {"lambda-search": "lemma-5", "brief-lemma-4": "lemma-5"}
 def select(ids: Sequence[str]) -> list[Claim]:
     """Return the claims of these ids, in the ledger's order; all where none is given.
 
-    InputError if an id is not in the ledger.
+    An id may be a pattern, such as "certified.*", for all claims whose ids it matches. InputError if an id is not in
+    the ledger, or a pattern matches none.
     """
-    wanted = {ALIASES.get(id, id) for id in ids}
-    unknown = sorted(wanted - {claim.id for claim in CLAIMS})
+    wanted = [ALIASES.get(id, id) for id in ids]
+    unknown = sorted({id for id in wanted if not any(fnmatchcase(claim.id, id) for claim in CLAIMS)})
     if unknown:
         raise InputError(f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}")
-    return [claim for claim in CLAIMS if not wanted or claim.id in wanted]
+    return [claim for claim in CLAIMS if not wanted or any(fnmatchcase(claim.id, id) for id in wanted)]
 
 
 def run(

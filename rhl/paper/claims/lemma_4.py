@@ -313,6 +313,7 @@ CLAIMS: tuple[Claim, ...] = (
         reason="As printed the gradient of g is taken at x*_k; it belongs to the proximal centre x~_k, as in (41). The "
         "two are the same only without mixing (lambda_k = 0).",
         proof="notebooks/09-lemma-4.ipynb#proof-lemma-4",
+        formal="equation_44.three_point",
     ),
     _claim(
         "eq-45",

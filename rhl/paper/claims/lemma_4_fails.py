@@ -138,6 +138,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_limit_outside,
         control=Control("f(x,k) = x^2, which does not fade", partial(check_limit_outside, ratio=Fraction(1))),
         proof="notebooks/09-lemma-4.ipynb#proof-limit-outside",
+        formal="lemma_4.bounded_away",
     ),
     _claim(
         "lemma-4.no-limit",

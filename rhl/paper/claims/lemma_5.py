@@ -265,6 +265,7 @@ CLAIMS: tuple[Claim, ...] = (
             partial(check_lemma, draw=pairs_deaf_together),
         ),
         proof="notebooks/10-lemma-5.ipynb#proof-lemma-5",
+        formal="lemma_5.weights_of_the_paper",
     ),
     _claim(
         "lemma-5.count",
@@ -276,6 +277,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_count,
         control=Control("one candidate fewer, against an adversary", partial(check_count, fewer=1)),
         proof="notebooks/10-lemma-5.ipynb#proof-count",
+        formal="lemma_5.enough_nonzero_weights",
     ),
     _claim(
         "lemma-5.sharp",

@@ -80,6 +80,14 @@ def test_the_search_is_found_by_either_name():
         ledger.select(["lemma-44"])
 
 
+def test_a_pattern_selects_every_id_that_it_matches():
+    selected = [claim.id for claim in ledger.select(["certified.*", "eq-1"])]
+    assert selected == [claim.id for claim in ledger.CLAIMS if claim.id.startswith("certified.") or claim.id == "eq-1"]
+    assert len(selected) > 5
+    with pytest.raises(InputError, match=r"ID must be one of the ledger's.*got certifed"):
+        ledger.select(["certifed.*", "eq-1"])
+
+
 def test_json_names_everything():
     judgements = ledger.run(ledger.select(["eq-1", "eq-22"]), Effort(3, 5))
     written = ledger.as_json(judgements, Effort(3, 5))

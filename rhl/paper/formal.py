@@ -1,0 +1,53 @@
+"""What Coq says of the theorems in ``proofs/``, as ``make proofs`` has written it down."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+
+
+@dataclass(frozen=True)
+class Record:
+    """The last run of ``make proofs``.
+
+    Attributes
+    ----------
+    coq : str
+        The version of Coq that checked the theorems.
+    sources : dict
+        The sha256 of each file that was checked, by its name.
+    theorems : dict
+        What Coq says that a theorem rests on, by the theorem's file and name, such as "lemma_5.enough_weights".
+    rejected : tuple of dict
+        False statements that Coq was seen to reject: "file", "what" was changed, and the line where it "stops".
+    """
+
+    coq: str
+    sources: dict[str, str]
+    theorems: dict[str, str]
+    rejected: tuple[dict[str, str], ...]
+
+
+def record() -> Record:
+    """Return what is on record.
+
+    Examples
+    --------
+    >>> record().theorems["lemma_5.enough_weights"]
+    'Closed under the global context'
+    """
+    with resources.files("rhl.paper").joinpath("data", "proofs.json").open(encoding="utf-8") as file:
+        kept = json.load(file)
+    return Record(kept["coq"], kept["sources"], kept["theorems"], tuple(kept["rejected"]))
+
+
+def anchor(theorem: str) -> str:
+    """Return where a theorem stands on the page ``book/checked-by-machine.md``.
+
+    Examples
+    --------
+    >>> anchor("lemma_5.enough_weights")
+    'lemma-5-enough-weights'
+    """
+    return theorem.replace(".", "-").replace("_", "-")
