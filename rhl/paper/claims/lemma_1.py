@@ -402,6 +402,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("maps of a lower rank", lambda effort: check_rank(effort, "row", full=False)),
         reason="Full row rank is meant, not column rank, and the feasible gain is C'(CC')^-1 B, not (C'C)^-1 C'B.",
         uses=("eq-11",),
+        proof="notebooks/05-lemma-1.ipynb#proof-row-rank",
     ),
     _claim(
         "assumption-5.bound",
