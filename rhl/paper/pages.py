@@ -57,7 +57,11 @@ def scientific(value: float, digits: int = 2) -> str:
     --------
     >>> scientific(5.83e-13)
     '5.8·10⁻¹³'
+    >>> scientific(0.0)
+    '0'
     """
+    if value == 0:
+        return "0"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
 
