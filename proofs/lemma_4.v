@@ -158,15 +158,14 @@ rewrite ler_add2l -[leRHS]mulr1 ler_pmul2l // mulr_gt0 ?ltr0n //.
 exact: weight_gt0.
 Qed.
 
-(** Lemma 4 says that the limit is in X = {0}. It is at least 0.069. *)
-Theorem bounded_away k : 69 / 1000 <= iterate k.
+(** Lemma 4 says that the limit is in X = {0}. It is at least 28/405, and that
+    is 0.0691... *)
+Theorem bounded_away k : 28 / 405 <= iterate k.
 Proof.
 do 4! apply: le_trans (decreasing _).
-have bound : 28 <= 405 * iterate k.+4.
-  apply: le_trans (stays k); rewrite mulrDr -natrM ler_addl mulrA -natrM.
-  by rewrite mulr_ge0 ?ler0n // ltW ?weight_gt0.
-rewrite -(ler_pmul2l (_ : 0 < 405)) ?ltr0n // (le_trans _ bound) // mulrA.
-by rewrite ler_pdivr_mulr ?ltr0n // -!natrM ler_nat.
+rewrite ler_pdivr_mulr ?ltr0n // mulrC; apply: le_trans (stays k).
+rewrite mulrDr -natrM ler_addl mulrA -natrM.
+by rewrite mulr_ge0 ?ler0n // ltW ?weight_gt0.
 Qed.
 
 End Counterexample.

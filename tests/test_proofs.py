@@ -95,6 +95,17 @@ def test_missing_coq_is_one_sentence(monkeypatch, capsys):
     assert "apt-get install" in proofs.MISSING
 
 
+def test_what_goes_wrong_is_said_and_nothing_is_kept(monkeypatch, capsys, tmp_path):
+    def accepted():
+        raise ValueError("Coq must reject it")
+
+    monkeypatch.setattr(proofs, "record", accepted)
+    monkeypatch.setattr(proofs, "RECORD", tmp_path / "proofs.json")
+    assert proofs.main() == 1
+    assert capsys.readouterr().err == "Coq must reject it\n"
+    assert not proofs.RECORD.exists()
+
+
 @with_coq
 def test_coq_accepts_and_rejects_what_is_on_record():
     found, kept = proofs.record(), formal.record()

@@ -283,7 +283,9 @@ def _run(name: str, check: Check, effort: Effort) -> tuple[Evidence] | tuple[Evi
         return Evidence(0, math.nan), f"{name} raised {type(error).__name__}: {error}"
     if evidence.conclusive:
         return (evidence,)
-    return evidence, f"{name} had no cases" if evidence.cases == 0 else f"{name} found {evidence.worst}"
+    if evidence.cases:
+        return evidence, f"{name} found {evidence.worst}"
+    return evidence, f"{name} had no cases" + ("" if evidence.why == Evidence.why else f": {evidence.why}")
 
 
 def worst_of(violations: list[float]) -> float:

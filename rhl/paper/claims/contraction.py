@@ -146,7 +146,7 @@ def ends_excess(run: Run) -> Array:
     epsilon = np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
     reached = _forms(run.r, loops.QN)
     allowed = run.best + epsilon * at.top * at.C2**2
-    return np.asarray((reached - allowed) / (reached + allowed))
+    return np.asarray((reached - allowed) / (reached + allowed + np.finfo(float).tiny))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +155,12 @@ class Shifted:
 
     ``w`` (T-1, loops, N+1, n): what (28) says that the new predictions differ by, from e_1 and the maps' differences.
     ``found`` (T-1, loops, N+1, n): the new predictions less the old ones of the step after; the last is r~+ - A_1 r.
-    ``end`` (T-1, loops, n): r~+, where the shifted plan ends.
+    ``states`` (T-1, loops, N+1, n): the new predictions, of which the last is r~+, where the shifted plan ends.
     """
 
     w: Array
     found: Array
-    end: Array
+    states: Array
 
 
 def shifted(run: Run) -> Shifted:
@@ -176,19 +176,27 @@ def shifted(run: Run) -> Shifted:
     for i in range(1, N + 1):
         change = (next_B - B)[..., :i, :, :][..., ::-1, :, :]  # i - 1 - l for the input l
         w[..., i, :] += np.einsum("...lab,...lb->...a", change, inputs[..., :i, :])
-    return Shifted(w, new - old, new[..., -1, :])
+    return Shifted(w, new - old, new)
 
 
-def step_excess(run: Run, share: float = 1.0) -> Array:
-    """Return S(k+1) less its bound, relative to it, shape (T-1, loops); ``share`` of q_k is what the bound is given."""
+def step_excess(run: Run, share: float = 1.0, moved_end: bool = True) -> Array:
+    """Return by how much the two halves of the bound of S(k+1) are exceeded, relative to them, shape (2, T-1, loops).
+
+    The first bounds the root of the shifted plan's cost by S(k), r(k) and w; the second bounds S(k+1) by that root and
+    by what the end moves. Where S(k) is below 1e-12 of its largest nothing is left but rounding, and it is -1.
+    ``share``: of q_k, which the first half is given. ``moved_end``: whether the second half counts the moved end.
+    """
     loops, r, moved = run.loops, run.r, shifted(run)
     at = constants(run.A, run.B, loops.Q, loops.R, loops.QN)
     S = np.sqrt(run.stages)
     kept = (share * at.rate[:-1] * S[:-1]) ** 2 + (at.low + at.high) * np.sum(r[:-1] ** 2, axis=-1)
     w = np.sqrt(at.high) * np.sqrt(np.sum(moved.w[..., :-1, :] ** 2, axis=(-1, -2)))
-    ends = np.sqrt(at.top) * at.M[1:] * np.linalg.norm(r[1:] - moved.end, axis=-1)
-    bound = np.sqrt(kept) + w + ends
-    return np.asarray(S[1:] / bound - 1)
+    cost = np.sum(_forms(moved.states[..., :-1, :], loops.Q[:, None]), axis=-1)
+    cost = np.sqrt(cost + np.sum(_forms(run.nu[:-1, :, 1:], loops.R[:, None]), axis=-1))
+    ends = np.sqrt(at.top) * at.M[1:] * np.linalg.norm(r[1:] - moved.states[..., -1, :], axis=-1)
+    left, right = np.stack([cost, S[1:]]), np.stack([np.sqrt(kept) + w, cost + (ends if moved_end else 0.0)])
+    counted = S[:-1] > 1e-12 * np.max(S, axis=0)
+    return np.asarray(np.where(counted, left / np.where(counted, right, 1.0) - 1, -1.0))
 
 
 def _forms(rows: Array, weight: Array) -> Array:

@@ -19,8 +19,8 @@ from rhl.paper.claims.theorem_1 import check_changing, vanishing
 from rhl.problems import V3
 
 _claim = partial(Claim, page="notebooks/08-theorem-1.ipynb", test="tests/paper/claims/test_theorem_1_star.py")
-_STEPS = 160
-# epsilon ends at 5e-8, and with it r(k) at 2e-4 times what bounds it; the slowest hidden mode ends at 0.85^160 = 5e-12.
+_STEPS = 220
+# epsilon ends at 9e-11, and with it r(k) at 9e-6 times what bounds it; the slowest hidden mode at 0.85^220 = 3e-16.
 _AT_REST = 1e-2
 _ROUNDING = 1e-9
 # Controllable and hidden states, inputs, horizon.
@@ -91,8 +91,9 @@ def hypotheses(of: Run) -> str:
             return f"the {name} did not fade"
     if not np.max(of.best[late]) <= 1e-6 * np.max(of.best[early]) + 1e-12:
         return "V2 does not fade"
-    least = np.min(s_plus(PredictorMaps(of.A, of.B)))
-    return "" if least > 0.05 else "s+ is not bounded below"
+    # Early models are perturbed, and may be reached weakly; the plant's own block has an s+ above 0.3.
+    found = s_plus(PredictorMaps(of.A, of.B))
+    return "" if np.min(found) > 0 and np.min(found[len(found) // 2 :]) > 0.1 else "s+ is not bounded below"
 
 
 def check_rest(effort: Effort) -> Evidence:
@@ -156,13 +157,13 @@ def check_shift(effort: Effort, stale: bool = False) -> Evidence:
     return Evidence(len(found) * _STEPS, worst_of(found), _ROUNDING, "rounding of the predictions")
 
 
-def check_step(effort: Effort, share: float = 1.0) -> Evidence:
-    """Check the inequality of the proof at every step. ``share``: of q_k, with which the bound is tested.
+def check_step(effort: Effort, share: float = 1.0, moved_end: bool = True) -> Evidence:
+    """Check both halves of the proof's inequality at every step.
 
-    The bound is far from sharp, so that the control leaves q_k out altogether.
+    ``share``: of q_k, with which the first is tested. ``moved_end``: whether the second counts the moved end.
     """
-    found = [float(np.max(step_excess(of, share))) for of in runs(effort.seed, effort.cases)]
-    return Evidence(len(found) * _STEPS, worst_of(found), _ROUNDING, "rounding, relative to the bound")
+    found = [float(np.max(step_excess(of, share, moved_end))) for of in runs(effort.seed, effort.cases)]
+    return Evidence(len(found) * _STEPS, worst_of(found), _ROUNDING, "rounding, relative to the bounds")
 
 
 def gain_of(maps: PredictorMaps, Q: Array, R: Array) -> float:
@@ -365,7 +366,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_ends,
-        control=Control("a thousandth of eps", partial(check_ends, share=1e-3)),
+        control=Control("V2 alone, without the term of eps", partial(check_ends, share=0.0)),
         uses=("assumption-5.s-plus", "eq-39"),
         proof=_PROOF,
     ),

@@ -40,7 +40,7 @@ def family_scheme(p: int, q: int, m: int, initial: SignalModel | None = None, al
     return Scheme(
         DelayLifting(m, m),
         GrowingMemory(1e-4),
-        Controller(1.0, 1.0, 1.0, max(20, 2 * (n + (m - 1) * q)), PowerDecay(10)),
+        Controller(1.0, 1.0, 1.0, max(20, 2 * (n + (m - 1) * q)), PowerDecay(10, 2)),
         silent_model(p, q, m) if initial is None else initial,
         family=ModelFamily(family.shifts[:1]) if alone else family,
     )
