@@ -123,7 +123,9 @@ def status_counts(judgements: Iterable[Judgement]) -> str:
     counts = Counter(judgement.status for judgement in judgements)
     return (
         '<p class="status-counts">'
-        + " ".join(f"{counts[status]} {badge(status)}" for status in _COLOURS if counts[status])
+        + " ".join(
+        f'<span class="count">{counts[status]} {badge(status)}</span>' for status in _COLOURS if counts[status]
+    )
         + "</p>"
     )
 
