@@ -9,6 +9,7 @@ from rhl._lanes import blocks, from_lanes, to_lanes
 
 # A direction counts as steerable if its gain exceeds this share of what it was computed from; 1e3 roundings.
 _RANK_RTOL = 1e-13
+_EPS = np.finfo(np.float64).eps
 
 
 def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizon: int) -> tuple[Array, Array, Array]:
@@ -68,9 +69,10 @@ def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:
     ``steering``, shape (..., rows, columns), is how the terminal state follows w, ``wanted``, shape (..., rows), what
     it is to be, and ``noise``, shape (..., columns), for each column the size of the products it was computed from. A
     direction counts as steerable if its singular value exceeds their rounding, which reaches it through the columns
-    that it uses.
+    that it uses, and that of the decomposition: a column of zeros has no rounding of its own.
     """
     left, size, right = np.linalg.svd(steering, full_matrices=False)
-    kept = size > _RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1)
+    rounding = np.maximum(_RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1), _EPS * size[..., :1])
+    kept = size > rounding
     inverse = np.where(kept, 1 / np.where(kept, size, 1.0), 0.0)
     return np.einsum("...ba,...b->...a", right, inverse * np.einsum("...ab,...a->...b", left, wanted))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from math import comb
 
 import numpy as np
@@ -29,9 +28,9 @@ class ModelFamily:
     where theta is the plant's own signal model and the rows of :math:`\Phi_k` are the data [x; u] up to k. The estimate
     from :math:`\theta_0 + G` is therefore :math:`\hat\theta(k) + G M(k)`. For :math:`G^* = \theta - \theta_0`, which is
     unknown, it is theta at every k. Each minor of the controllability matrix is a polynomial in G whose value at
-    :math:`G^*` never changes; on a finite set of G that determines such polynomials it cannot be small throughout. The
-    member in use is changed only where its margin falls below a share of the largest one, so that changes become ever
-    rarer. This is Theorem 4 of the book, not the paper's.
+    :math:`G^*` never changes; on a finite set of G that determines polynomials of its total degree it cannot be small
+    throughout. The member in use is changed only where its margin falls below a share of the largest one, and such
+    changes end. This is Theorem 4 of the book, not the paper's.
 
     Parameters
     ----------
@@ -44,7 +43,7 @@ class ModelFamily:
     --------
     >>> family = ModelFamily.grid(p=1, outputs=1, q=1, inputs=1)
     >>> family.shifts.shape
-    (2, 1, 2)
+    (3, 1, 2)
     """
 
     shifts: Array
@@ -67,30 +66,23 @@ class ModelFamily:
     ) -> ModelFamily:
         """Return a grid that determines every polynomial of the degrees that Theorem 4 needs.
 
-        With one input and output and equally many of both stacked, n, the determinant of the augmented pair's
-        controllability matrix is the resultant of numerator and denominator, of degree n - 1 in the coefficients of
-        past outputs and n in those of inputs; otherwise its minors have the degree of Lemma 5 at most. ``size`` is the
-        largest entry of a shift. InputError if the grid would have more than 50,000 members.
+        These are polynomials in all entries of a shift, since M mixes them. With one input and output and equally many
+        of both stacked, n, the determinant of the augmented pair's controllability matrix is the resultant of numerator
+        and denominator, of total degree 2n - 1; otherwise its minors have the degree of Lemma 5 at most. ``size`` is
+        the largest entry of a shift. InputError if the grid would have more than 50,000 members.
         """
         for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
             integer(name, value, 1)
         positive("size", size)
         of_y, of_v = p * outputs, q * inputs
-        if p == q == 1 and outputs == inputs:
-            parts = [(of_y, outputs - 1), (of_v, outputs)]
-        else:
-            n = of_y + q * (inputs - 1)
-            parts = [(p * (of_y + of_v), sum(n - i // q for i in range(n)))]
-        count = 1
-        for variables, degree in parts:
-            count *= comb(variables + degree, degree)
+        variables, n = p * (of_y + of_v), of_y + q * (inputs - 1)
+        degree = 2 * outputs - 1 if p == q == 1 and outputs == inputs else sum(n - i // q for i in range(n))
+        count = comb(variables + degree, degree)
         if count > _MOST:
             raise InputError(
                 f"the grid must have at most {_MOST} members, got {count} for these sizes; give shifts of your own"
             )
-        columns = [_lower_set(variables, degree) for variables, degree in parts]
-        points = [np.concatenate(point) for point in product(*columns)]
-        return cls(size * np.reshape(points, (count, p, of_y + of_v)), hysteresis)
+        return cls(size * np.reshape(_lower_set(variables, degree), (count, p, of_y + of_v)), hysteresis)
 
     def members(self, estimate: SignalModel, spread: Array) -> SignalModel:
         """Return the estimates from all initial models, shape (..., count): theta^ + G M."""

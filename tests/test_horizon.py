@@ -666,3 +666,15 @@ def test_batches_that_do_not_fit_are_refused():
     model = SignalModel(np.zeros((4, 2, 2)), np.zeros((4, 2, 1)))
     with pytest.raises(InputError, match="leading batch axes must broadcast"):
         solve(V1(model, 1.0, 1.0, 1.0, 1.0, 3), np.zeros((5, 2)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_input_that_reaches_nothing_is_not_used(seed):
+    """Rounding of the decomposition gives its column a singular value of 1e-17 beside ones of order one."""
+    rng = np.random.default_rng(seed)
+    A = np.concatenate([np.eye(4)[None], rng.normal(size=(2, 4, 4))])
+    B = rng.normal(size=(2, 4, 2)) * [1.0, 0.0]
+    x, maps = rng.normal(size=(20, 4)), PredictorMaps(A, B)
+    plan, alone = solve(V2(maps, np.eye(4), 2), x), solve(V2(PredictorMaps(A, B[..., :1]), np.eye(4), 2), x)
+    assert np.max(np.abs(plan.u[..., 1])) < 1e-12
+    assert np.allclose(plan.u[..., :1], alone.u, rtol=1e-9, atol=1e-12)

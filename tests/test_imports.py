@@ -102,6 +102,7 @@ PAPER = [
             "theorem_2",
             "theorem_3",
             "theorem_3_prime",
+            "theorem_4_grid",
             "theorem_4",
             "simulations",
             "certified_limits",

@@ -22,6 +22,9 @@ from rhl.problems import V1, V2
 
 Models = Callable[[int], SignalModel]
 
+# States may underflow at the end of a run.
+_TINY = np.finfo(np.float64).tiny
+
 
 @dataclass(frozen=True, eq=False)
 class Loops:
@@ -29,7 +32,7 @@ class Loops:
 
     ``plant``: x+ = Ax + Bu, shapes (loops, n, n), (loops, n, q). ``models``: k -> the model whose powers are the maps.
     ``Q``, ``R``, ``QN``: weights, shapes (loops, n, n), (loops, q, q), (loops, n, n). ``epsilon``: k -> eps(k).
-    ``x0`` (loops, n): initial states. ``horizon``: N. Gamma is x'x.
+    ``x0`` (loops, n): initial states. ``horizon``: N. ``alpha``: Gamma is alpha x'x.
     """
 
     plant: SignalModel
@@ -40,6 +43,7 @@ class Loops:
     epsilon: Callable[[int], float]
     x0: Array
     horizon: int
+    alpha: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,8 @@ class Run:
     ``x`` (T+1, loops, n), ``u`` (T, loops, q): states and inputs.
     ``A`` (T, loops, N+1, n, n), ``B`` (T, loops, N, n, q): the maps of (5).
     ``xi`` (T, loops, N+1, n), ``nu`` (T, loops, N, q): plans.
-    ``best`` (T, loops): V2(x(k)). ``stages`` (T, loops): V3(x(k), r(k)), the stage costs of the plan.
+    ``best`` (T, loops): V2(x(k)). ``steer`` (T, loops): the root of the sum of |xi_i|^2 + |nu_i|^2, i < N, of V2's
+    least-norm solution. ``stages`` (T, loops): V3(x(k), r(k)), the stage costs of the plan.
     """
 
     loops: Loops
@@ -60,6 +65,7 @@ class Run:
     xi: Array
     nu: Array
     best: Array
+    steer: Array
     stages: Array
 
     @property
@@ -78,12 +84,13 @@ def run(loops: Loops, steps: int) -> Run:
     x, rows = loops.x0, []
     for k in range(steps):
         maps = loops.models(k).predictor(loops.horizon)
-        weight = np.sum(x**2, axis=-1) / loops.epsilon(k)
+        weight = loops.alpha * np.sum(x**2, axis=-1) / loops.epsilon(k)
         plan = solve(V1(maps, loops.Q, loops.R, loops.QN, weight, loops.horizon), x)
-        best = solve(V2(maps, loops.QN, loops.horizon), x).value
+        least = solve(V2(maps, loops.QN, loops.horizon), x)
+        steer = np.sum(least.x[..., :-1, :] ** 2, axis=(-1, -2)) + np.sum(least.u**2, axis=(-1, -2))
         stages = np.sum(_forms(plan.x[..., :-1, :], loops.Q[:, None]), axis=-1)
         stages = stages + np.sum(_forms(plan.u, loops.R[:, None]), axis=-1)
-        rows.append((x, plan.u[..., 0, :], maps.A, maps.B, plan.x, plan.u, best, stages))
+        rows.append((x, plan.u[..., 0, :], maps.A, maps.B, plan.x, plan.u, least.value, np.sqrt(steer), stages))
         x = loops.plant.step(x, plan.u[..., 0, :])
     columns = [np.stack(column) for column in zip(*rows, strict=True)]
     columns[0] = np.concatenate([columns[0], x[None]])
@@ -141,12 +148,17 @@ def constants(A: Array, B: Array, Q: Array, R: Array, QN: Array, s: Array | None
 
 
 def ends_excess(run: Run) -> Array:
-    r"""Return by how much (12) is exceeded with :math:`\rho = \Lambda C_2^2`, relative, shape (T, loops)."""
+    r"""Return by how much the two halves of step 1 are exceeded, relative to them, shape (2, T, loops).
+
+    The first is the size of V2's least-norm solution, at most :math:`C_2 |x|`; the second is (12) with
+    :math:`\rho = \Lambda C_2^2 / \alpha`.
+    """
     at, loops = constants(run.A, run.B, run.loops.Q, run.loops.R, run.loops.QN), run.loops
     epsilon = np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
     reached = _forms(run.r, loops.QN)
-    allowed = run.best + epsilon * at.top * at.C2**2
-    return np.asarray((reached - allowed) / (reached + allowed + np.finfo(float).tiny))
+    allowed = run.best + epsilon * at.top * at.C2**2 / loops.alpha
+    steer = at.C2 * np.linalg.norm(run.x[:-1], axis=-1)
+    return np.stack([(run.steer - steer) / (steer + _TINY), (reached - allowed) / (reached + allowed + _TINY)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
+from dataclasses import replace
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 
 from rhl._checks import Array
-from rhl.controllability import controllability_margin
+from rhl.controllability import controllability_margin, controllability_matrix
 from rhl.errors import DivergedError
 from rhl.family import ModelFamily
 from rhl.lifting import DelayLifting
@@ -18,6 +17,7 @@ from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.estimation import draw_model, estimate, trajectory
 from rhl.paper.claims.theorem_3 import end_over_peak
+from rhl.paper.claims.theorem_4_grid import SIZES, check_grid, check_resultant, determined, monomials
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import observability, pbh, signal_model
 from rhl.schedules import PowerDecay
@@ -29,8 +29,6 @@ _claim = partial(Claim, page="notebooks/24-theorem-4.ipynb", test="tests/paper/c
 _STEPS = 200
 _AT_REST = 1e-2
 _ROUNDING = 1e-9
-# Outputs, inputs and m; plants have order p m, so that their augmented pair is controllable.
-_SIZES = ((1, 1, 1), (1, 1, 2), (1, 1, 3), (2, 1, 1), (2, 2, 1))
 
 
 def family_scheme(p: int, q: int, m: int, initial: SignalModel | None = None, alone: bool = False) -> Scheme:
@@ -66,7 +64,7 @@ def draw_plant(rng: np.random.Generator, p: int, q: int, m: int) -> LinearPlant:
 def runs(seed: int, cases: int, alone: bool = False) -> tuple[Trace | None, ...]:
     """Run the scheme of Theorem 4 from a silent initial model on random plants; None where a run left float64."""
     rng, found = Effort(seed).rng("theorem-4"), list[Trace | None]()
-    for p, q, m in _SIZES:
+    for p, q, m in SIZES:
         for _ in range(max(2, cases // 40)):
             plant, z0 = draw_plant(rng, p, q, m), rng.normal(size=p * m)
             try:
@@ -84,28 +82,89 @@ def check_rest(effort: Effort, alone: bool = False) -> Evidence:
     return Evidence(len(found), worst_of(found), _AT_REST, "what is left of slow modes after 200 steps")
 
 
-def check_margin(effort: Effort, alone: bool = False) -> Evidence:
-    """Look whether the margin in use falls below the share of the largest one that the hysteresis keeps.
+def chosen_members(trace: Trace) -> tuple[Array, Array, np.ndarray]:
+    """Return the margin in use, the largest in the family, and the index of the member in use; each (steps,)."""
+    family, memory, augment = trace.scheme.family, trace.scheme.estimator, trace.scheme.lifting.augment
+    assert family is not None
+    assert isinstance(memory, GrowingMemory)
+    own, best, at = [], [], []
+    for done in trace.steps:
+        assert done.data is not None
+        spread = memory.spread(done.data)
+        members = family.members(done.estimate, spread)
+        own.append(float(controllability_margin(augment(done.model))))
+        best.append(float(np.max(controllability_margin(augment(members)))))
+        at.append(int(family.nearest(done.model, done.estimate, spread)))
+    return np.array(own), np.array(best), np.array(at)
 
-    The largest margin of the family is at least the one that the shift nearest to the truth's has; that is checked by
-    ``check_grid``. Here: at the end of a run the model in use has at least a thousandth of the true pair's margin.
+
+def check_changes(effort: Effort, share: float = 0.9) -> Evidence:
+    """Look whether the member in use keeps the share of the largest margin, and whether changes of it end.
+
+    The hysteresis is 0.9, so that there are changes; without any the runs are no evidence. ``share``: what is tested.
     """
-    found = []
-    for trace in runs(effort.seed, effort.cases, alone):
-        if trace is None:
-            return Evidence(1, np.inf, 0.0, "a run left float64")
-        family = trace.scheme.family
-        assert family is not None
-        memory, lifting = trace.scheme.estimator, trace.scheme.lifting
-        assert isinstance(memory, GrowingMemory)
-        for k in range(0, _STEPS, 20):
-            done = trace.steps[k]
-            assert done.data is not None
-            members = family.members(done.estimate, memory.spread(done.data))
-            best = float(np.max(controllability_margin(lifting.augment(members))))
-            own = float(controllability_margin(lifting.augment(done.model)))
-            found.append(family.hysteresis * best - own if best > 0 else np.inf)
-    return Evidence(len(found), worst_of(found), 1e-12, "rounding of the margins")
+    rng, worst, changes = effort.rng("theorem-4.hysteresis"), [], 0
+    for p, q, m in ((1, 1, 1), (1, 1, 2), (2, 1, 1)):
+        for _ in range(max(2, effort.cases // 40)):
+            scheme = family_scheme(p, q, m, SignalModel.shift_of_ones(p, m, q, m))
+            assert scheme.family is not None
+            scheme = replace(scheme, family=replace(scheme.family, hysteresis=0.9))
+            z0 = rng.normal(size=p * m)
+            own, best, at = chosen_members(simulate(scheme, draw_plant(rng, p, q, m), z0 / np.linalg.norm(z0), 80))
+            changed = np.diff(at) != 0
+            changes += int(np.sum(changed))
+            worst += [float(np.max((share * best - own) / best)), float(np.sum(changed[40:]))]
+    if changes == 0:
+        return Evidence(0, np.nan, why="the member never changes")
+    return Evidence(len(worst), worst_of(worst), 1e-9, "rounding of the margins")
+
+
+def check_member(effort: Effort, split: bool = False) -> Evidence:
+    r"""Check step 3: the members' determinants give that of the truth, and the member of G* is the truth.
+
+    The determinant of the member of G is a polynomial in G, so that interpolation from its values on the grid gives its
+    value at G*, which is the true determinant: the sum of :math:`w_i \pi_k(G_i)` with weights that the data do not
+    change. Hence the largest is at least the true one over :math:`\Lambda = \sum |w_i|`. Members are the library's,
+    from random data of random plants. ``split``: take polynomials of degree n - 1 in the columns of outputs and n in
+    those of inputs, and a grid for them; these degrees are not kept, since M mixes the columns.
+    """
+    rng, found = effort.rng("theorem-4.member"), []
+    for _ in range(max(6, effort.cases // 10)):
+        m = int(rng.integers(1, 3))
+        memory, lifting, family = (
+            GrowingMemory(10.0 ** rng.uniform(-2, 1)),
+            DelayLifting(m, m),
+            ModelFamily.grid(1, m, 1, m),
+        )
+        wanted = determined(1, 1, m)
+        if split:
+            wanted = [(*one, *other) for one in monomials(m, m - 1) for other in monomials(m, m)]
+            family = ModelFamily(family.shifts[[_at(family, e) for e in wanted]])
+        shift, (row, initial) = SignalModel.shift_of_ones(1, m, 1, m), rng.normal(size=(2, 2 * m))
+        truth, centre = (
+            SignalModel(np.vstack([of[:m], shift.A[1:]]), np.vstack([of[m:], shift.B[1:]])) for of in (row, initial)
+        )
+        data, x = memory.begin(m, m), rng.normal(size=m)
+        for _ in range(int(rng.integers(1, 4))):
+            u = rng.normal(size=m)
+            after = truth.step(x, u)
+            data, x = memory.remember(data, np.stack([after, x]), u[None]), after
+        hat, M = memory.minimise(centre, data), memory.spread(data)
+        V = np.array([[np.prod(point ** np.array(e)) for e in wanted] for point in family.shifts[:, 0]])
+        weights = np.linalg.solve(V.T, [np.prod((row - initial) ** np.array(e)) for e in wanted])
+        values, true = (
+            np.linalg.det(controllability_matrix(lifting.augment(of))) for of in (family.members(hat, M), truth)
+        )
+        found.append(float(np.abs(weights @ values - true) / (np.sum(np.abs(weights * values)) + np.abs(true))))
+        own = ModelFamily(np.stack([np.zeros((1, 2 * m)), (row - initial)[None]])).members(hat, M)
+        found.append(float(np.max(np.abs(_rows(own)[1] - _rows(truth)))))
+    return Evidence(len(found), worst_of(found), 1e-8, "rounding of determinants and of interpolation")
+
+
+def _at(family: ModelFamily, exponents: tuple[int, ...]) -> int:
+    """Return the index of the grid's point whose nodes have these numbers: 0, 1, -1, 1/2 are the first four."""
+    point = np.array([(0.0, 1.0, -1.0, 0.5)[e] for e in exponents])
+    return int(np.argmin(np.max(np.abs(family.shifts[:, 0] - point), axis=1)))
 
 
 def remembered(rng: np.random.Generator) -> tuple[GrowingMemory, Array, Array, Array]:
@@ -133,8 +192,9 @@ def check_affine(effort: Effort, early: bool = False) -> Evidence:
         M = memory.spread(data)
         if early:
             M = np.asarray(memory.weight * np.linalg.inv(rows[:-1].T @ rows[:-1] + memory.weight * np.eye(d)))
-        one, other = (_rows(memory.minimise(SignalModel(of[:, :n], of[:, n:]), data)) for of in (start, start + G))
-        found.append(float(np.max(np.abs(other - one - G @ M))))
+        hat, shifted = (memory.minimise(SignalModel(of[:, :n], of[:, n:]), data) for of in (start, start + G))
+        one, other = _rows(hat), _rows(shifted)
+        found.append(float(np.max(np.abs(other - _rows(ModelFamily(np.stack([0 * G, G])).members(hat, M))[1]))))
         found.append(float(np.max(np.abs(one - truth + (truth - start) @ M))))
     return Evidence(len(found), worst_of(found), 1e-8, "rounding through an information matrix of condition 1e6")
 
@@ -143,120 +203,29 @@ def _rows(model: SignalModel) -> Array:
     return np.concatenate([model.A, model.B], axis=-1)
 
 
-def check_errors(effort: Effort, weight: float = 1.0) -> Evidence:
+def check_errors(effort: Effort, late: bool = False) -> Evidence:
     """Check that |M(k) phi(k)|^2 is at most t_k (rho + |phi(k)|^2), where the t_k >= 0 sum to the size of phi at most.
 
-    ``weight``: of the next data in the memory, with which the bound is tested; another one is another estimator.
+    M(k) is the library's. ``late``: take tr M(k+1) - tr M(k) for t_k.
     """
     rng, found = effort.rng("theorem-4.errors"), []
     for _ in range(max(3, effort.cases // 5)):
-        memory, _, _, rows = remembered(rng)
-        rho, d = memory.weight, rows.shape[1]
-        M, total = np.eye(d), 0.0
+        memory, _, truth, rows = remembered(rng)
+        n, d = truth.shape
+        data, total = memory.begin(n, d - n), 0.0
+        M = memory.spread(data)
+        found.append(float(np.max(np.abs(M - np.eye(d)))))
         for phi in rows:
-            after = M - np.outer(M @ phi, M @ phi) * weight / (rho + weight * phi @ M @ phi)
-            t = float(np.trace(M - after))
+            after = truth @ phi
+            data = memory.remember(data, np.stack([after, phi[:n]]), phi[None, n:])
+            then = memory.spread(data)
+            t = float(np.trace(M - then))
             total += t
-            size = rho + float(phi @ phi)
-            found.append((float(np.sum((M @ phi) ** 2)) - t * size) / size)
-            found.append(total - d)
-            M = after
-    return Evidence(len(found), worst_of(found), _ROUNDING, "rounding of the traces")
-
-
-def arx_pair(a: Any, b: Any) -> Any:
-    """Return the augmented pair's controllability matrix of y(k+1) = sum a_i y(k+1-i) + sum b_i v(k+1-i), in sympy."""
-    import sympy as sp
-
-    n = len(a)
-    size = 2 * n - 1
-    A, B = sp.zeros(size, size), sp.zeros(size, 1)
-    A[0, :n] = sp.Matrix([a])
-    A[0, n:] = sp.Matrix([b[1:]]) if n > 1 else sp.zeros(1, 0)
-    for i in range(1, n):
-        A[i, i - 1] = 1
-    for i in range(n + 1, size):
-        A[i, i - 1] = 1
-    B[0, 0] = b[0]
-    if n > 1:
-        B[n, 0] = 1
-    return sp.Matrix.hstack(*[A**i * B for i in range(size)])
-
-
-def check_resultant(effort: Effort, other: bool = False) -> Evidence:
-    """Compare the determinant with the resultant of numerator and denominator, with symbols, for n = 1, 2, 3.
-
-    ``effort`` is not used: nothing is drawn. ``other``: take the denominator with the opposite signs.
-    """
-    import sympy as sp
-
-    s, faults = sp.Symbol("s"), 0
-    for n in (1, 2, 3):
-        a, b = sp.symbols(f"a1:{n + 1}"), sp.symbols(f"b1:{n + 1}")
-        sign = 1 if other else -1
-        below = s**n + sign * sum(a[i] * s ** (n - 1 - i) for i in range(n))
-        above = sum(b[i] * s ** (n - 1 - i) for i in range(n))
-        resultant = sp.expand(sp.resultant(below, above, s)) if n > 1 else b[0]
-        determinant = sp.expand(arx_pair(list(a), list(b)).det(method="berkowitz"))
-        faults += sp.expand(determinant - resultant) != 0 and sp.expand(determinant + resultant) != 0
-    return Evidence(3, float(faults))
-
-
-def monomials(variables: int, degree: int) -> list[tuple[int, ...]]:
-    """Return the exponents of all monomials of total degree at most ``degree``."""
-    if variables == 0:
-        return [()]
-    return [(i, *rest) for i in range(degree + 1) for rest in monomials(variables - 1, degree - i)]
-
-
-def determined(p: int, q: int, m: int) -> list[tuple[int, ...]]:
-    """Return the monomials that the grid for these sizes has to tell apart, as exponents of the entries of G."""
-    if p == q == 1:
-        return [(*one, *other) for one in monomials(m, m - 1) for other in monomials(m, m)]
-    n = p * m + q * (m - 1)
-    return monomials(p * (p * m + q * m), sum(n - i // q for i in range(n)))
-
-
-def check_grid(effort: Effort, drop: bool = False) -> Evidence:
-    """Find by how much the rank of the grid's monomials falls short of their number, exactly, modulo a prime.
-
-    ``effort`` is not used: nothing is drawn. ``drop``: leave the last point of each grid out.
-    """
-    prime, short = 2_147_483_629, 0
-    for p, q, m in _SIZES:
-        shifts, wanted = ModelFamily.grid(p, m, q, m).shifts, determined(p, q, m)
-        points = shifts.reshape(len(shifts), -1)
-        rows = []
-        for point in points[: len(points) - drop]:
-            exact = [Fraction(value) for value in point]
-            values = [entry.numerator * pow(entry.denominator, -1, prime) % prime for entry in exact]
-            powers = [[pow(value, i, prime) for i in range(max(map(sum, wanted)) + 1)] for value in values]
-            row = []
-            for exponents in wanted:
-                term = 1
-                for i, e in enumerate(exponents):
-                    term = term * powers[i][e] % prime
-                row.append(term)
-            rows.append(row)
-        short += len(wanted) - _rank(rows, prime)
-    return Evidence(len(_SIZES), float(short), 0.0, "a rank modulo a prime is at most the rank")
-
-
-def _rank(rows: list[list[int]], prime: int) -> int:
-    """Return the rank of a matrix of integers modulo a prime below 2^31."""
-    M, rank = np.array(rows, dtype=np.int64), 0
-    for column in range(M.shape[1]):
-        pivots = np.flatnonzero(M[rank:, column])
-        if len(pivots) == 0:
-            continue
-        M[[rank, rank + pivots[0]]] = M[[rank + pivots[0], rank]]
-        M[rank] = M[rank] * pow(int(M[rank, column]), -1, prime) % prime
-        below = M[rank + 1 :, column].copy()
-        M[rank + 1 :] = (M[rank + 1 :] - below[:, None] * M[rank] % prime) % prime
-        rank += 1
-        if rank == len(M):
-            break
-    return rank
+            size = memory.weight + float(phi @ phi)
+            left = float(np.sum((M @ phi) ** 2))
+            found += [(left - (float(np.trace(then)) - float(np.trace(M)) if late else t) * size) / size, -t, total - d]
+            M = then
+    return Evidence(len(found), worst_of(found), 1e-8, "rounding through an information matrix of condition 1e6")
 
 
 def check_window(effort: Effort, mixed: bool = False) -> Evidence:
@@ -349,7 +318,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_errors,
-        control=Control("data that count a tenth in the memory", partial(check_errors, weight=0.1)),
+        control=Control("the decrease of the trace with the opposite sign", partial(check_errors, late=True)),
         uses=("theorem-4.affine",),
         proof=_PROOF,
     ),
@@ -369,8 +338,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.grid",
         "Theorem 4",
         "",
-        "The grid determines every polynomial of the minors' degrees: n - 1 in the coefficients of outputs and n in "
-        "those of inputs for one of each, Lemma 5's degree for several.",
+        "The grid determines every polynomial in all entries of G of the minors' total degree: 2n - 1 for one input "
+        "and output, Lemma 5's degree for several.",
         method="exact arithmetic",
         recorded="holds",
         stated=check_grid,
@@ -379,15 +348,29 @@ CLAIMS: tuple[Claim, ...] = (
         proof=_PROOF,
     ),
     _claim(
+        "theorem-4.member",
+        "Theorem 4",
+        "",
+        "The member that belongs to G* is the truth at every k, and the members' determinants give the true one with "
+        "weights that the data do not change, so that the largest is bounded below.",
+        method="numerical sampling",
+        recorded="holds",
+        stated=check_member,
+        control=Control("degrees counted by columns, on a grid for them", partial(check_member, split=True)),
+        uses=("theorem-4.affine", "theorem-4.grid", "theorem-4.controllable"),
+        proof=_PROOF,
+    ),
+    _claim(
         "theorem-4.hysteresis",
         "Theorem 4",
         "",
-        "Along the runs the model in use keeps the share of the family's largest margin that the hysteresis asks for.",
+        "Along the runs the model in use keeps the share of the largest margin that the hysteresis asks for, and its "
+        "changes end.",
         method="simulation",
         recorded="holds",
-        stated=check_margin,
-        control=Control("the initial model alone", partial(check_margin, alone=True)),
-        uses=("theorem-4.grid",),
+        stated=check_changes,
+        control=Control("a larger share than the hysteresis asks for", partial(check_changes, share=0.999)),
+        uses=("theorem-4.member",),
         proof=_PROOF,
     ),
     _claim(

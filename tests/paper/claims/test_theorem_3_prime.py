@@ -15,9 +15,9 @@ def test_as_recorded(claim, seed):
 
 
 def test_most_runs_are_runs_of_the_theorem():
-    """The hypothesis is not empty: the margin stays above delta in nine of ten runs."""
+    """The hypothesis is not empty: the margin stays above delta in three of four runs."""
     counted = np.concatenate([theorem_3_prime.of_the_theorem(trace) for trace, _ in theorem_3_prime.runs(0, 100)])
-    assert np.mean(counted) > 0.9
+    assert np.mean(counted) > 0.75
 
 
 def test_the_pairs_are_those_of_the_plants():
