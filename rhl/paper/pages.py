@@ -120,8 +120,8 @@ def status_counts(judgements: Iterable[Judgement]) -> str:
     return (
         '<p class="status-counts">'
         + " ".join(
-        f'<span class="count">{counts[status]} {badge(status)}</span>' for status in _COLOURS if counts[status]
-    )
+            f'<span class="count">{counts[status]} {badge(status)}</span>' for status in _COLOURS if counts[status]
+        )
         + "</p>"
     )
 
