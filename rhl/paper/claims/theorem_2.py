@@ -345,8 +345,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.ii.one-step",
         "Theorem 2(ii)",
         _THEOREM,
-        "For one step (8) also holds along the plan, whose first input is applied, with omegas of finite sums; the "
-        "proof of Lemma 2 takes no more of it.",
+        "For one step (8) also holds along the plan, whose first input is applied, and with squares its omegas have "
+        "finite sums; the proof of Lemma 2 takes no more of it.",
         "numerical sampling",
         "holds",
         stated=check_one_step,

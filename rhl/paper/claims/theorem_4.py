@@ -287,7 +287,7 @@ CLAIMS: tuple[Claim, ...] = (
             "theorem-1.star",
             "theorem-4.affine",
             "theorem-4.errors",
-            "theorem-4.grid",
+            "theorem-4.member",
             "theorem-4.controllable",
             "theorem-4.hysteresis",
             "lemma-6.index",
