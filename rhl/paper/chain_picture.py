@@ -12,8 +12,8 @@ from rhl.paper.claims.claim import Claim
 from rhl.paper.pages import readable, seen_from_book
 
 # All in CSS pixels of an unscaled picture; text is 13 and 11 high.
-_HEIGHT, _BETWEEN, _GAP, _MARGIN = 56, 44, 10, 8
-_NAME, _WORD, _LEAST = 7.2, 6.1, 84
+_HEIGHT, _BETWEEN, _GAP, _MARGIN = 56, 44, 7, 4
+_NAME, _WORD, _LEAST = 7.0, 6.0, 74
 
 # What stands in a box below its name; shorter than the legend.
 _WORDS: dict[Standing, str] = {
@@ -91,7 +91,7 @@ def layout(nodes: Sequence[Node]) -> Layout:
         if not node.uses and users:
             rank[node.claim.id] = min(users) - 1
     widths: dict[str, float] = {
-        node.claim.id: max(_LEAST, 14 + _NAME * len(node.claim.item), 14 + _WORD * max(map(len, _lines(node))))
+        node.claim.id: max(_LEAST, 12 + _NAME * len(node.claim.item), 12 + _WORD * max(map(len, _lines(node))))
         for node in nodes
     }
     layers: list[list[str]] = [[] for _ in range(max(rank.values()) + 1)]
