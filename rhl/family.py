@@ -26,9 +26,9 @@ class ModelFamily:
         \hat\theta(k) = \theta - (\theta - \theta_0) M(k), \qquad M(k) = \rho \, (\Phi_k^\top \Phi_k + \rho I)^{-1},
 
     where theta is the plant's own signal model and the rows of :math:`\Phi_k` are the data [x; u] up to k. The estimate
-    from :math:`\theta_0 + G` is therefore :math:`\hat\theta(k) + G M(k)`. For :math:`G^* = \theta - \theta_0`, which is
-    unknown, it is theta at every k. Each minor of the controllability matrix is a polynomial in G whose value at
-    :math:`G^*` never changes; on a finite set of G that determines polynomials of its total degree it cannot be small
+    from :math:`\theta_0 + E` is therefore :math:`\hat\theta(k) + E M(k)`. For :math:`E^* = \theta - \theta_0`, which is
+    unknown, it is theta at every k. Each minor of the controllability matrix is a polynomial in E whose value at
+    :math:`E^*` never changes; on a finite set of E that determines polynomials of its total degree it cannot be small
     throughout. The member in use is changed only where its margin falls below a share of the largest one, and such
     changes end. This is Theorem 4 of the book, not the paper's.
 
@@ -85,7 +85,7 @@ class ModelFamily:
         return cls(size * np.reshape(_lower_set(variables, degree), (count, p, of_y + of_v)), hysteresis)
 
     def members(self, estimate: SignalModel, spread: Array) -> SignalModel:
-        """Return the estimates from all initial models, shape (..., count): theta^ + G M."""
+        """Return the estimates from all initial models, shape (..., count): theta^ + E M."""
         p, d = self.shifts.shape[1:]
         moved = np.concatenate([estimate.A, estimate.B], axis=-1)[..., None, :, :] + np.zeros((len(self.shifts), 1, 1))
         moved[..., :p, :] += self.shifts @ spread[..., None, :, :]

@@ -49,7 +49,9 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     verdict: Verdict = "met" if converged else "suspect"
     below = ", and read what is suspect below" if suspect_below else ""
     reason = "" if converged else f"; {_hint(trace, z, end)}{below}"
-    yield Finding("Set point" if tracks else "Theorem 3, state and input go to zero", verdict, ends + reason)
+    yield Finding(
+        "Set point" if tracks else "State and input go to zero in this run (Theorem 3)", verdict, ends + reason
+    )
     yield _of_sizes(trace, v, input_name)
     yield from _of_peak(trace)
     yield from _of_bounds(trace)
@@ -158,7 +160,7 @@ def of_models(trace: Trace) -> Iterator[Finding]:
     if len(moved):
         end = max(1, len(moved) // _END)
         yield Finding(
-            "Theorem 2(i), the estimates converge",
+            "The estimates settle in this run (Theorem 2(i))",
             "met" if np.isfinite(moved).all() and moved[-end:].max() <= _GONE * max(moved.max(), 1e-300) else "suspect",
             f"largest move of theta {moved.max():.3g}, in the last {end} steps {moved[-end:].max():.3g}",
         )

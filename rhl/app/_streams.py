@@ -104,14 +104,22 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
             bar.stop()
 
 
-def print_table(table: Table, least_width: int, file: TextIO) -> None:
-    """Print a table; off a terminal as wide as COLUMNS says, or wide enough where it says nothing."""
+def width_of(file: TextIO, least_width: int) -> int:
+    """Return how wide a table may be: a terminal's width; off one COLUMNS, or ``least_width`` where it says nothing."""
     from rich.console import Console
 
-    console = Console(highlight=False, file=file)
+    console = Console(file=file)
     # Off a terminal rich assumes 80 columns, which would fold the table.
     if not console.is_terminal and not os.environ.get("COLUMNS", "").isdecimal():
-        console.width = max(console.width, least_width)
+        return max(console.width, least_width)
+    return console.width
+
+
+def print_table(table: Table, least_width: int, file: TextIO) -> None:
+    """Print a table as wide as ``width_of`` says."""
+    from rich.console import Console
+
+    console = Console(highlight=False, file=file, width=width_of(file, least_width))
     with console.capture() as capture:
         console.print(table)
     print(capture.get(), end="", file=file)

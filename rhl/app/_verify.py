@@ -9,9 +9,12 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from rhl.app._streams import complain, deliver, print_table, progress, words_of
+from rhl.app._streams import complain, deliver, print_table, progress, width_of, words_of
 from rhl.paper.claims import ledger
 from rhl.paper.claims.claim import Claim, Effort, Judgement
+
+# Columns that a row needs with everything in it.
+_WIDE = 230
 
 
 def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effort) -> list[Judgement]:
@@ -31,7 +34,9 @@ def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effor
         except KeyboardInterrupt:
             complain(f"interrupted after {len(done)} of {len(claims)} claims")
     words = words_of(options)
-    print_table(_table(done, f"{len(done)} claims, seed {effort.seed}, {effort.cases} cases"), 230, words)
+    count = "1 claim" if len(done) == 1 else f"{len(done)} claims"
+    title = f"{count}, seed {effort.seed}, {effort.cases} cases"
+    print_table(_table(done, title, width_of(words, _WIDE)), _WIDE, words)
     # What would not fit into a cell: why there is no evidence, and why none can be had.
     for row in done:
         if row.problem:
@@ -40,24 +45,30 @@ def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effor
         if row.verdict == "not-checkable":
             print(f"{row.claim.id} {row.status}: {row.claim.reason}", file=words)
     tally = ", ".join(f"{count} {status}" for status, count in Counter(row.status for row in done).most_common())
-    print(f"{tally}; {sum(row.seconds for row in done):.0f} s", file=words)
+    other = sum(not row.as_recorded for row in done)
+    recorded = f"{other} not as recorded" if other else "all as recorded"
+    print(f"{tally}; {recorded}; {sum(row.seconds for row in done):.0f} s", file=words)
     if options.output:
         text = json.dumps(ledger.as_json(done, effort), indent=1, allow_nan=False) + "\n"
         deliver(options.output, text, options.force)
     return done
 
 
-def _table(done: list[Judgement], title: str) -> Table:
-    table = Table(title=title, title_justify="left")
-    table.add_column("claim", no_wrap=True)
-    table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
-    for heading in ("checked by", "cases", "worst", "tolerance", "status", "control"):
-        table.add_column(
-            heading, no_wrap=True, justify="right" if heading in ("cases", "worst", "tolerance") else "left"
-        )
+def _table(done: list[Judgement], title: str, width: int) -> Table:
+    """Return a row for each claim; on a narrow terminal only what fits without a break."""
+    table, wide = Table(title=title, title_justify="left"), width >= _WIDE
+    table.add_column("claim", no_wrap=wide, overflow="fold")
+    if wide:
+        table.add_column("says", no_wrap=True, overflow="ellipsis", max_width=72)
+        table.add_column("checked by", no_wrap=True)
+    for heading in ("cases", "worst", "tolerance") if wide else ("worst",):
+        table.add_column(heading, no_wrap=True, justify="right")
+    table.add_column("status", no_wrap=wide)
+    table.add_column("control", no_wrap=wide)
     for row in done:
         found, claim = row.evidence, row.claim
-        numbers = (str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}") if found else ("", "", "")
+        numbers = [str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}"] if found else [""] * 3
         status = row.status if row.verdict == claim.recorded else f"{row.status}, NOT {claim.recorded}"
-        table.add_row(claim.id, claim.statement, claim.method, *numbers, status, row.told_true_from_false)
+        cells = [claim.statement, claim.method, *numbers] if wide else numbers[1:2]
+        table.add_row(claim.id, *cells, status, row.told_true_from_false)
     return table

@@ -157,11 +157,14 @@ def test_a_run_that_went_well():
 
 
 def test_a_run_that_needs_longer():
-    assert unmet(diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], 12)))[0] == "Theorem 3, state and input go to zero"
+    assert (
+        unmet(diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], 12)))[0]
+        == "State and input go to zero in this run (Theorem 3)"
+    )
 
 
 def test_what_is_suspect_below_is_pointed_at_where_there_is_any():
-    goes = "Theorem 3, state and input go to zero"
+    goes = "State and input go to zero in this run (Theorem 3)"
     seen = set()
     for steps in (6, 12):
         found = diagnose_run(simulate(SCHEME, PLANT, [1.0, -1.0], steps))
@@ -199,7 +202,7 @@ def test_a_run_that_stopped_early_can_be_looked_at():
     with pytest.raises(DivergedError) as caught:
         simulate(window_scheme(1, 1, 1), far, [1.0], 50)
     found = diagnose_run(caught.value.trace)
-    assert "Theorem 3, state and input go to zero" in unmet(found)
+    assert "State and input go to zero in this run (Theorem 3)" in unmet(found)
 
 
 def test_large_gains_are_suspect():
@@ -290,7 +293,7 @@ def test_a_run_with_a_set_point_is_judged_by_outputs_and_increments():
     assert verdicts(found)["Set point"] == "met"
     assert "|y - r|" in says(found, "Set point")
     plain = diagnose_run(simulate(default_scheme(2, 2, 2), tank, np.ones(4), 100, load=Offset(0.4)))
-    assert verdicts(plain)["Theorem 3, state and input go to zero"] == "suspect"
+    assert verdicts(plain)["State and input go to zero in this run (Theorem 3)"] == "suspect"
 
 
 def test_steps_at_a_bound_are_counted():
@@ -319,7 +322,7 @@ def test_a_high_peak_is_suspect_and_names_what_to_turn():
 
 
 def test_hints_where_a_run_did_not_end_at_rest():
-    subject = "Theorem 3, state and input go to zero"
+    subject = "State and input go to zero in this run (Theorem 3)"
     short = simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 8)
     assert "not gone yet: run on" in says(diagnose_run(short), subject)
     noisy = simulate(default_scheme(1, 1, 2), PLANT, [1.0, -1.0], 80, sensor=GaussianNoise(0.02, 1))

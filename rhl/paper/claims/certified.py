@@ -157,8 +157,8 @@ def check_blended(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
     """Count what is not proved of the loop with forgotten input gains: that x1 tends to 5/26, and how large plans are.
 
     ``ratio``: the second input gain's. The facts: every deviation from the limit's recursion is below its bound, and
-    the later bounds add up to little; |x1| stays below 2, and at the end x1 is near 5/26; plans are below 1.25 |x|,
-    V2's below 1.42 |x|, at every step that is followed and at all later ones.
+    the later bounds add up to little; |x1| stays below 2, and at the end x1 is near 5/26; inputs of plans are below
+    1.25 |x|, those of V2's below 1.42 |x|, at every step that is followed and at all later ones.
     """
     steps, bits = 240, 1500
     loop = blended(steps, bits, ratio)
@@ -269,7 +269,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 1",
         "MPC1vsMPC3",
         "With A = diag(1.2, 0.5), B = (1, 0), models (1, 2^-k) of B, N = 2, eps(k) = 0.02^k and x(0) = (1, 1) the "
-        "plans met stay below 1.25 |x|, and x1 tends to 5/26.",
+        "inputs of the plans met stay below 1.25 |x|, and x1 tends to 5/26.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_blended,

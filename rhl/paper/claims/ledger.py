@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -67,7 +68,12 @@ def select(ids: Sequence[str]) -> list[Claim]:
     wanted = [ALIASES.get(id, id) for id in ids]
     unknown = sorted({id for id in wanted if not any(fnmatchcase(claim.id, id) for claim in CLAIMS)})
     if unknown:
-        raise InputError(f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}")
+        ids = [claim.id for claim in CLAIMS]
+        near = [close for id in unknown for close in get_close_matches(id.lower().replace(" ", "-"), ids, 1)]
+        hint = f"; did you mean {', '.join(near)}?" if near else ""
+        raise InputError(
+            f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}{hint}"
+        )
     return [claim for claim in CLAIMS if not wanted or any(fnmatchcase(claim.id, id) for id in wanted)]
 
 

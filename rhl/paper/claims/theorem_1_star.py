@@ -385,7 +385,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_rest,
         control=Control("s+ that tends to zero", lambda effort: check_changing(effort, vanishing)),
-        uses=("assumption-3", "assumption-5.s-plus", "eq-40", "eq-7", "eq-8", "eq-9", *_STEPS_OF_IT),
+        uses=("assumption-3", "assumption-4b", "assumption-4c", "assumption-5.s-plus", "eq-40", *_STEPS_OF_IT),
         proof=_PROOF,
     ),
     _claim(

@@ -120,10 +120,10 @@ def check_changes(effort: Effort, share: float = 0.9) -> Evidence:
 
 
 def check_member(effort: Effort, split: bool = False) -> Evidence:
-    r"""Check step 3: the members' determinants give that of the truth, and the member of G* is the truth.
+    r"""Check step 3: the members' determinants give that of the truth, and the member of E* is the truth.
 
-    The determinant of the member of G is a polynomial in G, so that interpolation from its values on the grid gives its
-    value at G*, which is the true determinant: the sum of :math:`w_i \pi_k(G_i)` with weights that the data do not
+    The determinant of the member of E is a polynomial in E, so that interpolation from its values on the grid gives its
+    value at E*, which is the true determinant: the sum of :math:`w_i \pi_k(E_i)` with weights that the data do not
     change. Hence the largest is at least the true one over :math:`\Lambda = \sum |w_i|`. Members are the library's,
     from random data of random plants. ``split``: take polynomials of degree n - 1 in the columns of outputs and n in
     those of inputs, and a grid for them; these degrees are not kept, since M mixes the columns.
@@ -180,7 +180,7 @@ def remembered(rng: np.random.Generator) -> tuple[GrowingMemory, Array, Array, A
 
 
 def check_affine(effort: Effort, early: bool = False) -> Evidence:
-    """Compare the library's estimate from theta_0 + G with theta^ + G M, and theta^ with theta - (theta - theta_0) M.
+    """Compare the library's estimate from theta_0 + E with theta^ + E M, and theta^ with theta - (theta - theta_0) M.
 
     ``early``: take M of the data without the last transition.
     """
@@ -301,7 +301,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.affine",
         "Theorem 4",
         "",
-        "With growing memory and a fixed centre the estimate from theta_0 + G is theta^ + G M, and theta^ is "
+        "With growing memory and a fixed centre the estimate from theta_0 + E is theta^ + E M, and theta^ is "
         "theta - (theta - theta_0) M.",
         method="numerical sampling",
         recorded="holds",
@@ -314,7 +314,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.errors",
         "Theorem 4",
         "",
-        "One-step errors obey |M phi|^2 <= t_k (rho + |phi|^2) with t_k >= 0 that sum to at most the size of phi.",
+        "One-step errors obey |M phi|^2 <= t_k (rho + |phi|^2) with t_k >= 0 that sum to at most the number of entries "
+        "of phi.",
         method="numerical sampling",
         recorded="holds",
         stated=check_errors,
@@ -338,7 +339,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.grid",
         "Theorem 4",
         "",
-        "The grid determines every polynomial in all entries of G of the minors' total degree: 2n - 1 for one input "
+        "The grid determines every polynomial in all entries of E of the minors' total degree: 2n - 1 for one input "
         "and output, Lemma 5's degree for several.",
         method="exact arithmetic",
         recorded="holds",
@@ -351,7 +352,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.member",
         "Theorem 4",
         "",
-        "The member that belongs to G* is the truth at every k, and the members' determinants give the true one with "
+        "The member that belongs to E* is the truth at every k, and the members' determinants give the true one with "
         "weights that the data do not change, so that the largest is bounded below.",
         method="numerical sampling",
         recorded="holds",
@@ -364,8 +365,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.hysteresis",
         "Theorem 4",
         "",
-        "Along the runs the model in use keeps the share of the largest margin that the hysteresis asks for, and its "
-        "changes end.",
+        "The model in use keeps the share of the largest margin that the hysteresis asks for, and its changes end.",
         method="simulation",
         recorded="holds",
         stated=check_changes,

@@ -60,9 +60,9 @@ def monomials(variables: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def determined(p: int, q: int, m: int) -> list[tuple[int, ...]]:
-    """Return the monomials that the grid for these sizes has to tell apart, as exponents of the entries of G.
+    """Return the monomials that the grid for these sizes has to tell apart, as exponents of the entries of E.
 
-    M mixes the entries of each row of G, so that total degrees count, in all entries together.
+    M mixes the entries of each row of E, so that total degrees count, in all entries together.
     """
     n = p * m + q * (m - 1)
     degree = 2 * m - 1 if p == q == 1 else sum(n - i // q for i in range(n))
