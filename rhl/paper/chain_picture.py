@@ -13,7 +13,7 @@ from rhl.paper.pages import readable, seen_from_book
 
 # All in CSS pixels of an unscaled picture; text is 13 and 11 high.
 _HEIGHT, _BETWEEN, _GAP, _MARGIN = 56, 44, 7, 4
-_NAME, _WORD, _LEAST = 7.0, 6.2, 72
+_NAME, _WORD, _LEAST = 6.8, 6.0, 70
 
 # What stands in a box below its name; shorter than the legend.
 _WORDS: dict[Standing, str] = {
