@@ -166,3 +166,24 @@ def test_bad_families_are_refused(call, sentence):
 def test_the_silent_model_is_not_controllable():
     scheme = family_scheme(1, 1, 2)
     assert float(controllability_margin(scheme.lifting.augment(silent_model(1, 1, 2)))) == 0
+
+
+@pytest.mark.parametrize("initial", [None, SignalModel.shift_of_ones(1, 2, 1, 2)])
+def test_the_model_in_use_is_the_estimate_from_one_of_the_initial_models(initial):
+    """From all transitions, the newest too, with the centre that it had at k = 0."""
+    scheme = family_scheme(1, 1, 2, initial)
+    plant = LinearPlant(np.array([[1.2, 1.0], [0.0, 0.7]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]))
+    trace = simulate(scheme, plant, [1.0, -1.0], 15)
+    memory, (x, u) = scheme.estimator, trace.lifted
+    data = memory.begin(2, 2)
+    for k, done in enumerate(trace.steps):
+        if k >= scheme.first_measured:
+            data = memory.remember(data, x[[k, k - 1]], u[[k]])
+        ends = []
+        for shift in scheme.family.shifts:
+            A, B = np.array(scheme.initial_model.A), np.array(scheme.initial_model.B)
+            A[:1] += shift[:, :2]
+            B[:1] += shift[:, 2:]
+            alone = memory.minimise(SignalModel(A, B), data)
+            ends.append(max(np.max(np.abs(alone.A - done.model.A)), np.max(np.abs(alone.B - done.model.B))))
+        assert min(ends) < 1e-9
