@@ -72,7 +72,7 @@ def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:
     that it uses, and that of the decomposition: a column of zeros has no rounding of its own.
     """
     left, size, right = np.linalg.svd(steering, full_matrices=False)
-    rounding = np.maximum(_RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1), _EPS * size[..., :1])
-    kept = size > rounding
+    of_columns = _RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1)
+    kept = size > np.maximum(of_columns, max(steering.shape[-2:]) * _EPS * size[..., :1])
     inverse = np.where(kept, 1 / np.where(kept, size, 1.0), 0.0)
     return np.einsum("...ba,...b->...a", right, inverse * np.einsum("...ab,...a->...b", left, wanted))

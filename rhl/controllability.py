@@ -60,6 +60,9 @@ def s_plus(maps: PredictorMaps | SignalModel, horizon: int | None = None) -> Arr
     since no input is planned then; NaN where a power of A leaves the range of float64. Singular values below 1e-12 of
     the largest count as zero, since rounding leaves them no larger.
 
+    For a model of order n, steps beyond the n-th make it no smaller, for they add to the same subspace; where the model
+    grows they make the largest one so large that small ones are lost in rounding, and fewer steps tell more.
+
     Parameters
     ----------
     maps : PredictorMaps or SignalModel

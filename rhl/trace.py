@@ -329,13 +329,17 @@ class Trace:
 
     @cached_property
     def s_plus(self) -> Array:
-        """The smallest nonzero singular value of [B_{N-1}(k) ... B_0(k)] of the planned maps, shape (steps, ...).
+        """The smallest nonzero singular value of [B_{n'-1}(k) ... B_0(k)] of the planned maps, shape (steps, ...).
 
-        Theorem 1* of the book asks that it stay above a positive number; see :func:`rhl.controllability.s_plus`.
+        Theorem 1* of the book asks that it stay above a positive number; see :func:`rhl.controllability.s_plus`. Of the
+        horizon the first n' steps count, n' being the size of the augmented state: later ones make the number no
+        smaller, and where the model grows they hide it in rounding.
         """
         augment, controller = self.scheme.lifting.augment, self.scheme.controller
         used = (self._centre(k) if controller.model_delay else self.model(k) for k in range(len(self)))
-        return np.stack([s_plus(augment(model), controller.horizon) for model in used])
+        models = [augment(model) for model in used]
+        found = [s_plus(model, min(controller.horizon, model.n)) for model in models]
+        return np.stack([np.broadcast_to(one, self.y.shape[1:-1]) for one in found])
 
     def model(self, k: int) -> SignalModel:
         """Return theta~(k); the initial model for k = -1."""

@@ -678,3 +678,18 @@ def test_an_input_that_reaches_nothing_is_not_used(seed):
     plan, alone = solve(V2(maps, np.eye(4), 2), x), solve(V2(PredictorMaps(A, B[..., :1]), np.eye(4), 2), x)
     assert np.max(np.abs(plan.u[..., 1])) < 1e-12
     assert np.allclose(plan.u[..., :1], alone.u, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("which", [V2, V3])
+def test_rank_deficient_maps_with_columns_of_different_sizes(which):
+    """Everything acts along (1, 1, 1); rounding of the decomposition is several units of its largest value."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        along = np.ones((3, 1)) / np.sqrt(3)
+        A = np.concatenate([np.eye(3)[None], rng.normal(size=(3, 3, 3))])
+        B = along @ (rng.normal(size=(3, 1, 2)) * [2.0**-10, 1.0])
+        x, maps = rng.normal(size=3), PredictorMaps(A, B)
+        problem = V2(maps, np.eye(3), 3)
+        if which is V3:
+            problem = V3(maps, 1.0, 1.0, solve(problem, x).x[-1], 3)
+        assert solve(problem, x).residual() < 1e-9

@@ -1,7 +1,7 @@
 """A run as arrays, table and file."""
 
 import os
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from itertools import islice
 
 import numpy as np
@@ -11,7 +11,10 @@ from rhl._files import header, write_whole
 from rhl.closed_loop import closed_loop, replay
 from rhl.controllability import controllability_margin, s_plus
 from rhl.errors import InputError
+from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
+from rhl.plants import LinearPlant
+from rhl.scheme import window_scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 
@@ -84,7 +87,9 @@ def test_s_plus_is_that_of_the_maps_that_plans_used(trace, robot):
         assert run.s_plus.shape == (len(run),)
         for k in (0, 2, len(run) - 1):
             problem = run.steps[k].problem
-            assert run.s_plus[k] == pytest.approx(float(s_plus(problem.model, problem.horizon)), rel=1e-9)
+            assert run.s_plus[k] == pytest.approx(
+                float(s_plus(problem.model, min(problem.horizon, problem.model.n))), rel=1e-9
+            )
 
 
 def test_plans_on_demand(trace):
@@ -209,3 +214,21 @@ def test_columns_keep_the_order_of_two_outputs():
         assert np.array_equal(columns[f"yhat{i + 1}"], run.y_hat[:, i])
         assert np.array_equal(columns[f"z{i + 1}"], run.z[:, i])
     assert not np.array_equal(columns["yhat1"], columns["yhat3"])
+
+
+def test_s_plus_of_a_batch_is_that_of_its_members():
+    """With a model of the step before, which at k = 0 is one for all members."""
+    example = linear_example()
+    z0 = np.stack([example.z0, 2 * example.z0])
+    together = simulate(example.scheme, example.plant, z0, 12).s_plus
+    for i in range(2):
+        assert np.allclose(together[:, i], simulate(example.scheme, example.plant, z0[i], 12).s_plus, rtol=1e-6)
+
+
+def test_s_plus_is_not_lost_in_the_growth_of_a_model():
+    """Where a mode doubles at every step, thirty steps hide a reach of 2^-20, and the first two show it."""
+    model = SignalModel(np.diag([2.0, 0.5]), np.array([[1.0], [2.0**-20]]))
+    assert float(s_plus(model, 2)) == pytest.approx(1.5 * 2.0**-20 / np.sqrt(5), rel=1e-5)
+    scheme = replace(window_scheme(2, 1, 1), initial_model=model)
+    first = simulate(scheme, LinearPlant(model.A, model.B, np.eye(2)), [0.0, 0.0], 1)
+    assert first.s_plus[0] == pytest.approx(float(s_plus(model, 2)), rel=1e-12)

@@ -173,15 +173,19 @@ def of_models(trace: Trace) -> Iterator[Finding]:
 
 def _of_s_plus(trace: Trace) -> Finding:
     """Report the number that Theorem 1* of the book rests on, over the run and at its end."""
-    found, end = trace.s_plus, max(1, len(trace) // _END)
-    known = np.isfinite(found)
-    least = float(np.min(found[known])) if np.any(known) else 0.0
-    late = found[-end:][known[-end:]]
-    says = f"the smallest nonzero singular value of the planned maps is {least:.3g} over the run"
-    if len(late):
-        says += f", {np.min(late):.3g} in the last {end} steps"
+    subject, found, end = "Theorem 1*, inf s+ > 0", trace.s_plus, max(1, len(trace) // _END)
     lacking: Verdict = "suspect" if trace.scheme.units is None else "outside"
-    return Finding("Theorem 1*, inf s+ > 0", "met" if least >= LOST else lacking, says)
+    if np.any(np.isnan(found)):
+        at = int(trace.k[np.isnan(found)][0])
+        return Finding(subject, lacking, f"the planned maps left the range of floating-point numbers at k = {at}")
+    least = float(np.min(found))
+    if np.isinf(least):
+        return Finding(subject, "met", "no model of the run lets an input do anything, so that none was planned")
+    says = f"the smallest nonzero singular value of the planned maps is {least:.3g} over the run"
+    late = float(np.min(found[-end:]))
+    if np.isfinite(late):
+        says += f", {late:.3g} in the last {end} steps"
+    return Finding(subject, "met" if least >= LOST else lacking, says)
 
 
 def _gain(done: Step) -> float:

@@ -15,6 +15,7 @@ from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.losses import CustomLoss, LogCosh, Varying, WeightedSquares
 from rhl.model import SignalModel
+from rhl.paper.claims.theorem_4 import family_scheme
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.examples import example
@@ -347,3 +348,19 @@ def test_s_plus_is_reported_and_suspect_where_it_is_lost():
     run = replace(run, models=lost)
     (found,) = (one for one in diagnose_run(run).findings if one.subject == "Theorem 1*, inf s+ > 0")
     assert found.verdict == "suspect"
+
+
+def test_s_plus_that_is_infinite_or_unknown_is_said_so():
+    silent = simulate(family_scheme(1, 1, 1, alone=True), LinearPlant([[0.5]], [[1.0]], [[1.0]]), [1.0], 12)
+    (found,) = (one for one in diagnose_run(silent).findings if one.subject == "Theorem 1*, inf s+ > 0")
+    assert found.verdict == "met"
+    assert "none was planned" in found.says
+    example = linear_example()
+    run = simulate(example.scheme, example.plant, example.z0, 20)
+    lost = np.array(run.models.model)
+    lost[7:] *= 1e300
+    with np.errstate(over="ignore", invalid="ignore"):
+        findings = diagnose_run(replace(run, models=replace(run.models, model=lost))).findings
+    (found,) = (one for one in findings if one.subject == "Theorem 1*, inf s+ > 0")
+    assert found.verdict == "suspect"
+    assert "left the range" in found.says
