@@ -14,9 +14,12 @@ from fractions import Fraction
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
+import numpy as np
+
 from rhl.controllability import ConstantMixing
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
+from rhl.losses import WeightedSquares
 from rhl.paper import published
 from rhl.paper.published import Experiment
 from rhl.plants import LinearPlant, RobotArm
@@ -157,6 +160,7 @@ def recipe_of(experiment: Experiment) -> Recipe:
     """
     scheme, plant = experiment.scheme, experiment.plant
     estimator, controller, lifting, mixing = scheme.estimator, scheme.controller, scheme.lifting, scheme.mixing
+    squares = (estimator.loss, estimator.generator)
     simple = (
         isinstance(estimator, ProximalEstimator)
         and isinstance(controller.epsilon, PowerDecay)
@@ -164,6 +168,14 @@ def recipe_of(experiment: Experiment) -> Recipe:
         and isinstance(mixing, ConstantMixing)
         and all(isinstance(weight, float) for weight in (controller.Q, controller.R, controller.QN))
         and (controller.alpha, controller.model_delay, scheme.q, lifting.basis) == (1.0, 1, 1, None)
+        and all(
+            isinstance(of, WeightedSquares) and np.all(of.weight == 1) for of in (estimator.loss, estimator.generator)
+        )
+        and not controller.adaptive
+        and all(of is None for of in (estimator.constraints, controller.bounds))
+        and all(of is None for of in (scheme.units, scheme.set_point, scheme.family))
+        and all(of is None for of in (experiment.sensor, experiment.actuator, experiment.load))
+        and isinstance(plant, LinearPlant | RobotArm)
     )
     if not simple:
         raise InputError(f"{experiment.name} must be one of the paper's experiments, with settings of the same kind")

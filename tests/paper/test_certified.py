@@ -14,8 +14,10 @@ import pytest
 
 import rhl.paper
 from rhl.app.cli import main
+from rhl.disturbances import Saturation
 from rhl.errors import InputError
 from rhl.lifting import DelayLifting
+from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
 from rhl.paper import certified, certified_samples, published
 from rhl.paper.certified import ball, decimal, enclose, linear_recipe, recipe_of, robot_recipe, whole_line
@@ -27,8 +29,10 @@ from rhl.paper.claims.certified import (
     linear_run,
     robot_run,
 )
+from rhl.plants import FunctionPlant
 from rhl.plants.robot_arm import _ARM_COEFFICIENTS
 from rhl.schedules import PowerDecay
+from rhl.tracking import SetPoint
 from tests import oracle
 
 RECIPES = {"linear": (linear_recipe, published.linear_example), "robot": (robot_recipe, published.robot_arm)}
@@ -279,3 +283,26 @@ def test_a_missing_package_is_one_sentence_that_names_the_extra(monkeypatch, cap
     assert "flint" in said
     assert "pip install 'rhl[paper]'" in said
     assert main(["verify", "eq-22", "--fast"]) == 0
+
+
+def of_scheme(part, **changes):
+    """Return what changes a part of an experiment's scheme."""
+    return lambda e: replace(e, scheme=replace(e.scheme, **{part: replace(getattr(e.scheme, part), **changes)}))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        of_scheme("estimator", generator=WeightedSquares(0.01)),
+        of_scheme("estimator", loss=WeightedSquares(3.0)),
+        of_scheme("controller", bounds=Saturation(-1, 1)),
+        of_scheme("controller", adaptive=True),
+        lambda e: replace(e, scheme=replace(e.scheme, set_point=SetPoint(1.0))),
+        lambda e: replace(e, actuator=Saturation(-1, 1)),
+        lambda e: replace(e, sensor=lambda k, y: y),
+        lambda e: replace(e, plant=FunctionPlant(lambda z, v: z, lambda z: z[:1], 3, 1)),
+    ],
+)
+def test_another_scheme_is_not_certified(changed):
+    with pytest.raises(InputError, match="must be one of the paper's experiments"):
+        recipe_of(changed(published.linear_example()))
