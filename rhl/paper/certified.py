@@ -168,9 +168,7 @@ def recipe_of(experiment: Experiment) -> Recipe:
         and isinstance(mixing, ConstantMixing)
         and all(isinstance(weight, float) for weight in (controller.Q, controller.R, controller.QN))
         and (controller.alpha, controller.model_delay, scheme.q, lifting.basis) == (1.0, 1, 1, None)
-        and all(
-            isinstance(of, WeightedSquares) and np.all(of.weight == 1) for of in (estimator.loss, estimator.generator)
-        )
+        and all(isinstance(of, WeightedSquares) and np.all(of.weight == 1) for of in squares)
         and not controller.adaptive
         and all(of is None for of in (estimator.constraints, controller.bounds))
         and all(of is None for of in (scheme.units, scheme.set_point, scheme.family))
