@@ -240,9 +240,8 @@ def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data:
     # Which one was used at k-1 follows from what was remembered then.
     earlier = estimator.minimise(scheme.initial_model, before)
     current = family.nearest(state.model, earlier, estimator.spread(before))
-    spread = estimator.spread(data)
     current = np.broadcast_to(current, estimate.A.shape[:-2])
-    return family.choose(current, estimate, spread, scheme.lifting.augment)
+    return family.choose(current, estimate, estimator.spread(data), scheme.lifting.augment)
 
 
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:

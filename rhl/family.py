@@ -94,7 +94,8 @@ class ModelFamily:
     def nearest(self, model: SignalModel, estimate: SignalModel, spread: Array) -> np.ndarray:
         """Return the index of the member that a model is, shape (...)."""
         members = self.members(estimate, spread)
-        gaps = [np.max(np.abs(of - one[..., None, :, :]), axis=(-1, -2)) for of, one in _pairs(members, model)]
+        pairs = (members.A, model.A), (members.B, model.B)
+        gaps = [np.max(np.abs(of - one[..., None, :, :]), axis=(-1, -2)) for of, one in pairs]
         return np.asarray(np.argmin(np.maximum(*gaps), axis=-1))
 
     def choose(self, current: np.ndarray, estimate: SignalModel, spread: Array, augment: Augment) -> SignalModel:
@@ -109,10 +110,6 @@ class ModelFamily:
         kept = own >= self.hysteresis * np.max(margins, axis=-1)
         at = np.where(kept, current, np.argmax(margins, axis=-1))[..., None, None, None]
         return SignalModel(*(np.take_along_axis(M, at, axis=-3)[..., 0, :, :] for M in (members.A, members.B)))
-
-
-def _pairs(members: SignalModel, model: SignalModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    return (members.A, model.A), (members.B, model.B)
 
 
 def _nodes(count: int) -> list[float]:

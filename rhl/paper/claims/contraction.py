@@ -147,14 +147,14 @@ def constants(A: Array, B: Array, Q: Array, R: Array, QN: Array, s: Array | None
     return Constants(M, C2, np.maximum(high, of_R[..., -1]), low, high)
 
 
-def ends_excess(run: Run) -> Array:
+def ends_excess(run: Run, share: float = 1.0) -> Array:
     r"""Return by how much the two halves of step 1 are exceeded, relative to them, shape (2, T, loops).
 
     The first is the size of V2's least-norm solution, at most :math:`C_2 |x|`; the second is (12) with
-    :math:`\rho = \Lambda C_2^2 / \alpha`.
+    :math:`\rho = \Lambda C_2^2 / \alpha`; ``share``: of epsilon, which its bound is given.
     """
     at, loops = constants(run.A, run.B, run.loops.Q, run.loops.R, run.loops.QN), run.loops
-    epsilon = np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
+    epsilon = share * np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
     reached = _forms(run.r, loops.QN)
     allowed = run.best + epsilon * at.top * at.C2**2 / loops.alpha
     steer = at.C2 * np.linalg.norm(run.x[:-1], axis=-1)

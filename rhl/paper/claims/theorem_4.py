@@ -15,7 +15,7 @@ from rhl.lifting import DelayLifting
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
-from rhl.paper.claims.estimation import draw_model, estimate, trajectory
+from rhl.paper.claims.estimation import draw_model, estimate, theta_matrix, trajectory
 from rhl.paper.claims.theorem_3 import end_over_peak
 from rhl.paper.claims.theorem_4_grid import SIZES, check_grid, check_resultant, determined, monomials
 from rhl.plants import LinearPlant
@@ -157,7 +157,7 @@ def check_member(effort: Effort, split: bool = False) -> Evidence:
         )
         found.append(float(np.abs(weights @ values - true) / (np.sum(np.abs(weights * values)) + np.abs(true))))
         own = ModelFamily(np.stack([np.zeros((1, 2 * m)), (row - initial)[None]])).members(hat, M)
-        found.append(float(np.max(np.abs(_rows(own)[1] - _rows(truth)))))
+        found.append(float(np.max(np.abs(theta_matrix(own)[1] - theta_matrix(truth)))))
     return Evidence(len(found), worst_of(found), 1e-8, "rounding of determinants and of interpolation")
 
 
@@ -193,14 +193,10 @@ def check_affine(effort: Effort, early: bool = False) -> Evidence:
         if early:
             M = np.asarray(memory.weight * np.linalg.inv(rows[:-1].T @ rows[:-1] + memory.weight * np.eye(d)))
         hat, shifted = (memory.minimise(SignalModel(of[:, :n], of[:, n:]), data) for of in (start, start + G))
-        one, other = _rows(hat), _rows(shifted)
-        found.append(float(np.max(np.abs(other - _rows(ModelFamily(np.stack([0 * G, G])).members(hat, M))[1]))))
+        one, other = theta_matrix(hat), theta_matrix(shifted)
+        found.append(float(np.max(np.abs(other - theta_matrix(ModelFamily(np.stack([0 * G, G])).members(hat, M))[1]))))
         found.append(float(np.max(np.abs(one - truth + (truth - start) @ M))))
     return Evidence(len(found), worst_of(found), 1e-8, "rounding through an information matrix of condition 1e6")
-
-
-def _rows(model: SignalModel) -> Array:
-    return np.concatenate([model.A, model.B], axis=-1)
 
 
 def check_errors(effort: Effort, late: bool = False) -> Evidence:
@@ -246,10 +242,10 @@ def check_window(effort: Effort, mixed: bool = False) -> Evidence:
             *(0.3 * one + 0.7 * two for one, two in ((starts[0].A, starts[1].A), (starts[0].B, starts[1].B)))
         )
         end = estimate(x, u, third, window, lam, window).models[-1]
-        said = 0.3 * _rows(ends[0]) + 0.7 * _rows(ends[1])
-        found.append(float(np.max(np.abs(said - _rows(end)))))
+        said = 0.3 * theta_matrix(ends[0]) + 0.7 * theta_matrix(ends[1])
+        found.append(float(np.max(np.abs(said - theta_matrix(end)))))
         kept = estimate(x, u, truth, window, lam, window).models[-1]
-        found.append(float(np.max(np.abs(_rows(kept) - _rows(truth)))))
+        found.append(float(np.max(np.abs(theta_matrix(kept) - theta_matrix(truth)))))
     return Evidence(len(found), worst_of(found), _ROUNDING, "rounding of twenty regressions")
 
 
