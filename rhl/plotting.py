@@ -17,6 +17,7 @@ import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from rhl._checks import Array, instance
 from rhl._files import write_whole
@@ -33,6 +34,10 @@ _COLOURS = {
 
 
 FORMATS = (".svg", ".pdf", ".png")
+# Inches. A figure as wide as a phone shows it at its own size, so that its type is as large as it says.
+WIDTH = 4.2
+# Points of type that a figure of that width must have for 11 pixels on a page 358 pixels wide.
+_LEAST_TYPE = 11 * 72 * WIDTH / 358
 # matplotlib's own arithmetic overflows beyond this.
 _DRAWABLE = 1e100
 
@@ -62,7 +67,7 @@ def style(theme: ThemeName) -> dict[str, Any]:
         "lines.markersize": 4,
         "font.size": 9.5,
         "legend.frameon": False,
-        "legend.fontsize": 8.5,
+        "legend.fontsize": 9.3,
         "figure.constrained_layout.use": True,
         "svg.hashsalt": "rhl",
     }
@@ -87,8 +92,6 @@ def css() -> str:
 def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
     """Make a figure of panels one below the other that share the step axis k, each ``height`` inches high.
 
-    The width is that of a phone held upright, where a point of type is then a pixel.
-
     Examples
     --------
     >>> figure, axes = panels(2)
@@ -96,7 +99,7 @@ def panels(count: int, height: float = 2.1) -> tuple[Figure, list[Axes]]:
     >>> axes[1].get_xlabel()
     'step $k$'
     """
-    figure = Figure(figsize=(5.2, height * count + 0.4))
+    figure = Figure(figsize=(WIDTH, height * count + 0.4))
     axes = list(np.atleast_1d(figure.subplots(count, 1, sharex=True)))
     axes[-1].set_xlabel("step $k$")
     return figure, axes
@@ -115,7 +118,10 @@ def differences(ax: Axes, gaps: Mapping[str, Array], tolerance: float | None = N
     for (label, gap), marker in zip(gaps.items(), "osv^", strict=False):
         ax.semilogy(np.arange(len(gap)), np.maximum(np.abs(gap), 1e-17), marker, label=label, ms=3.5)
     if tolerance is not None:
-        ax.axhline(tolerance, color=mpl.rcParams["text.color"], ls="--", lw=1, label=f"tolerance {tolerance:g}")
+        digits, _, exponent = f"{tolerance:g}".partition("e")
+        factor = "" if digits == "1" else rf"{digits} \cdot "
+        power = f"{factor}10^{{{int(exponent)}}}" if exponent else digits
+        ax.axhline(tolerance, color=mpl.rcParams["text.color"], ls="--", lw=1, label=f"tolerance ${power}$")
     ax.set_ylabel("|difference|")
 
 
@@ -170,7 +176,7 @@ class Picture:
         def image(theme: ThemeName, svg: str) -> str:
             data = base64.b64encode(svg.encode()).decode()
             return (
-                f'<img class="only-{theme} rhl-{theme}" style="width:100%;max-width:44rem;height:auto" '
+                f'<img class="only-{theme} rhl-{theme}" style="width:100%;max-width:34rem;height:auto" '
                 f'src="data:image/svg+xml;base64,{data}" alt="{html.escape(self.alt)}">'
             )
 
@@ -194,6 +200,8 @@ def show(draw: Callable[[], Figure], alt: str, caption: str = "") -> Picture:
         What is to be seen, in a sentence, for those who cannot see it; InputError if it is not a sentence.
     caption : str
         What is drawn, in a sentence too, for everybody; every figure of the book has one.
+
+    InputError also if the figure's type is too small to be read on a phone.
 
     Examples
     --------
@@ -250,8 +258,24 @@ def render(draw: Callable[[], Figure], path: str | os.PathLike[str], theme: Them
 def _svg(draw: Callable[[], Figure], theme: ThemeName) -> str:
     buffer = io.StringIO()
     with _themed(theme):
-        draw().savefig(buffer, format="svg", metadata={"Date": None})
+        figure = draw()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    _readable(figure)
     return buffer.getvalue()
+
+
+def _readable(figure: Figure) -> None:
+    scale = WIDTH / figure.get_figwidth()
+    sizes = {
+        float(text.get_fontsize()) * scale: text.get_text()
+        for text in cast("list[Text]", figure.findobj(Text))
+        if text.get_visible() and text.get_text().strip()
+    }
+    if sizes and min(sizes) < _LEAST_TYPE:
+        raise InputError(
+            f"type in a figure {WIDTH} inches wide must have {_LEAST_TYPE:.3g} points to be read on a phone, "
+            f"got {min(sizes):.3g} for {sizes[min(sizes)]!r}; enlarge it, or make the figure less wide"
+        )
 
 
 def _themed(theme: ThemeName) -> AbstractContextManager[None]:

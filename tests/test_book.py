@@ -150,14 +150,6 @@ def raw_math(page):
     return re.findall(r"\$\$|\$[^$\n]{1,80}\$|\\begin\{\w+|\\\(|\\\[|Math input error", text)
 
 
-def leftover_roles(page):
-    """Roles that reached the reader: outside of code, inside of formulas too."""
-    article = BeautifulSoup(str(page.find("article") or ""), "html.parser")
-    for tag in article.select("pre, code, script, style"):
-        tag.decompose()
-    return re.findall(r"\{[a-z:]+\}`[^`\n]{1,60}`|glue:[a-z]+", article.get_text(" "))
-
-
 def search_bars(page, name):
     """Search fields beyond the hidden one that the search button opens (and the one of the search page)."""
     fields = [form for form in page.select("form.bd-search") if not form.find_parent(class_="search-button__wrapper")]
@@ -210,7 +202,6 @@ def faults(pages, files, toc):
         found += [f"{name}: asks another host: {address}" for address in outside_requests(page)]
         found += [f"{name}: no alternative text: {image}" for image in missing_alt(page)]
         found += [f"{name}: TeX as text: {tex}" for tex in raw_math(page)]
-        found += [f"{name}: a role as text: {role}" for role in leftover_roles(page)]
         found += [f"{name}: {what}" for what in search_bars(page, name) + not_executed(page, name)]
     return found + broken_links(pages, files)
 
@@ -276,13 +267,6 @@ def test_faults_of_a_page_are_found():
     found = faults({"a.html": page}, {"a.html", "a.png"}, ["a", "missing"])
     assert found[0] == "missing.html is not built"
     assert len(found) == 1 + 5 + 4 + 3 + 2 + 1 + 2
-
-
-@pytest.mark.parametrize("text", ["a {glue:text}`value:.2f` b", '<span class="math">\\(x(glue:text`at:d`)\\)</span>'])
-def test_roles_that_reach_the_reader_are_found(text):
-    page = BeautifulSoup(f"<article>{text}</article><pre>{{glue:text}}`code`</pre>", "html.parser")
-    assert len(leftover_roles(page)) == 1
-    assert leftover_roles(BeautifulSoup(f"<article><code>{text}</code></article>", "html.parser")) == []
 
 
 def test_faults_of_a_style_are_found():

@@ -2,16 +2,21 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
 from bs4 import BeautifulSoup
+from sphinx.errors import ExtensionError
 
 from tests.conftest import HTML, ROOT, current_book
 
 sys.path.insert(0, str(ROOT / "book/_ext"))
 
 import lean_pages
+import leftovers
+import local_mathjax
+import search_pages
 import take_away
 
 NOTEBOOK = "notebooks/10-lemma-5.ipynb"
@@ -149,3 +154,65 @@ def test_every_page_can_be_taken_away():
         assert "@software{rhl" in foot.pre.text
         executed = bool(pages[path].select(".cell"))
         assert foot.a["href"].endswith(".ipynb") == executed
+
+
+# ---------------------------------------------------------------- roles that reach the reader
+
+
+@pytest.mark.parametrize("text", ["a {glue:text}`value:.2f` b", '<span class="math">\\(x(glue:text`at:d`)\\)</span>'])
+def test_roles_that_reach_the_reader_are_found(text):
+    assert len(leftovers.leftover_roles(f"<article>{text}</article><pre>{{glue:text}}`code`</pre>")) == 1
+    assert leftovers.leftover_roles(f"<article><code>{text}</code></article>") == []
+
+
+def test_such_a_page_fails_the_build(tmp_path):
+    app = SimpleNamespace(builder=SimpleNamespace(name="html"), outdir=tmp_path, env=SimpleNamespace(found_docs={"a"}))
+    (tmp_path / "a.html").write_text("<article>fine</article>", encoding="utf-8")
+    leftovers.refuse(app, None)
+    (tmp_path / "a.html").write_text("<article>{ref}`b`</article>", encoding="utf-8")
+    with pytest.raises(ExtensionError, match=r"a shows \{ref\}`b`"):
+        leftovers.refuse(app, None)
+
+
+# ---------------------------------------------------------------- formulas where no script runs
+
+MACROS = {"argmin": r"\operatorname*{arg\,min}", "R": r"\mathbb{R}"}
+
+
+def mathml_words(markup):
+    return "".join(BeautifulSoup(markup, "html.parser").get_text().split())
+
+
+def test_a_formula_stands_beside_its_tex_and_alone_in_the_epub():
+    markup = '<span class="math">\\(x &lt; \\argmin_z z\\)</span>'
+    both = local_mathjax.beside(markup, MACROS, instead=False)
+    assert '<span class="tex">\\(x &lt; \\argmin_z z\\)</span><noscript><math' in both
+    alone = local_mathjax.beside(markup, MACROS, instead=True)
+    assert "\\" not in alone
+    assert mathml_words(alone).startswith("x<arg")
+    assert 'data-number="(7)"' in local_mathjax.beside(r"\[x \tag{7}\]", MACROS, instead=False)
+
+
+def test_lines_become_rows_and_the_number_stands_behind():
+    lines = r"\begin{aligned}a &amp;= b\\ c &amp;= d\end{aligned}\tag{7}"
+    markup = rf"<div>\[\begin{{equation*}}{lines}\end{{equation*}}\]</div>"
+    alone = local_mathjax.beside(markup, MACROS, instead=True)
+    assert len(BeautifulSoup(alone, "html.parser").select("mtr")) == 2
+    assert mathml_words(alone) == "(7)a=bc=d"
+
+
+@pytest.mark.parametrize("tex", [r"\unknowncommand x", r"\begin{alignat}{2} a &= b \end{alignat}"])
+def test_what_cannot_be_converted_fails_the_build(tex):
+    with pytest.raises(ExtensionError, match="a formula"):
+        local_mathjax.mathml(tex, True, MACROS)
+
+
+# ---------------------------------------------------------------- the search page
+
+
+def test_texts_for_the_search_are_prose_by_section():
+    page = """<article class="bd-article"><section id="top"><h1>Title<a class="headerlink">#</a></h1>
+    <p>One <span class="math"><span class="tex">\\(x\\)</span><noscript><math><mi>x</mi></math></noscript></span>.</p>
+    <pre>code</pre><section id="below"><h2>Part</h2><p>Two<b>fold</b></p></section></section></article>"""
+    assert search_pages.prose(page) == {"": "Title One x.", "below": "Part Twofold"}
+    assert search_pages.prose("<p>no article</p>") == {}

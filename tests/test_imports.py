@@ -112,6 +112,7 @@ PAPER = [
     "paper.claims.ledger",
     "paper.chain",
     "paper.pages",
+    "paper.listing",
     "paper.chain_picture",
     "paper.sweeps",
 ]

@@ -3,6 +3,7 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from rhl import plotting
 from rhl.errors import InputError
@@ -84,3 +85,23 @@ def test_unwritable_file(linear, tmp_path):
 def test_what_is_no_format_and_no_theme(linear, tmp_path, name, theme, sentence):
     with pytest.raises(InputError, match=sentence):
         plotting.save(lambda: plotting.run(linear), tmp_path / name, theme)
+
+
+@pytest.mark.parametrize(("width", "size"), [(plotting.WIDTH, 9.0), (1.5 * plotting.WIDTH, 13.0)])
+def test_type_too_small_for_a_phone_is_refused(width, size):
+    def draw():
+        figure = Figure(figsize=(width, 2.0))
+        figure.text(0.5, 0.5, "small", fontsize=size)
+        return figure
+
+    with pytest.raises(InputError, match=r"to be read on a phone, got .* for 'small'"):
+        plotting.show(draw, alt=ALT)
+
+
+def test_wide_figures_may_have_large_type():
+    def draw():
+        figure = Figure(figsize=(2 * plotting.WIDTH, 2.0))
+        figure.text(0.5, 0.5, "large", fontsize=19)
+        return figure
+
+    assert plotting.show(draw, alt=ALT).alt == ALT

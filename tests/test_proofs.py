@@ -9,7 +9,7 @@ import pytest
 from rhl.paper import formal
 from rhl.paper.claims import ledger
 from rhl.paper.claims.claim import Judgement
-from rhl.paper.pages import ledger_table
+from rhl.paper.listing import cards
 from tests.conftest import ROOT
 from tools import proofs
 
@@ -64,9 +64,9 @@ def test_the_ledger_links_to_the_theorem():
     (claim,) = ledger.select(["lemma-5.count"])
     judged = Judgement(claim, "holds", None, None, None, "", 0.0)
     assert judged.status == "machine-checked"
-    row = ledger_table([judged])
+    row = cards([judged])
     assert 'href="checked-by-machine.html#lemma-5-enough-nonzero-weights"' in row
-    assert "checked-by-machine" not in ledger_table([replace(judged, claim=replace(claim, formal=""))])
+    assert "checked-by-machine" not in cards([replace(judged, claim=replace(claim, formal=""))])
 
 
 def test_false_theorems_change_what_stands_in_the_files():

@@ -10,7 +10,11 @@ from rhl import plotting
 from rhl.paper import sweeps
 
 # Which page asks for which scripts of book/_static/explore; other pages load none of them.
-SCRIPTS = {"book/explore": ("chart.js", "runs.js", "lemmas.js"), "book/chain": ("chain.js",)}
+SCRIPTS = {
+    "book/explore": ("chart.js", "runs.js", "lemmas.js"),
+    "book/chain": ("chain.js",),
+    "book/ledger": ("ledger.js",),
+}
 
 
 def compute(folder: Path) -> None:

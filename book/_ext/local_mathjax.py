@@ -1,14 +1,32 @@
-"""Serve MathJax from the book itself: one file out of the pinned wheel, no request to any other host."""
+"""Serve MathJax from the book itself: one file out of the pinned wheel, no request to any other host.
 
+Where no script runs, a page shows each formula as MathML; the EPUB holds nothing else.
+"""
+
+import html
+import re
 import shutil
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
+from docutils import nodes
+from latex2mathml.converter import convert
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 
 # All of TeX input and the SVG output with its glyphs in one file, so that nothing is loaded after it.
 SCRIPT = "mathjax/tex-svg-full.js"
+# Without scripts the TeX would stand there as it is.
+WITHOUT_SCRIPTS = "<noscript><style>.math .tex { display: none; }</style></noscript>"
+# Environments of several lines, which the converter knows only as arrays; columns alternate as in amsmath.
+_LINES = r"split|aligned|align\*?|gathered|gather\*?"
+_WRAPPED = re.compile(r"\\(begin|end)\{equation\*?\}")
+_TAG = re.compile(r"\\tag\{([^{}]*)\}")
+_DELIMITED = re.compile(r"\\\((.*?)\\\)|\\\[(.*)\\\]|(\\begin\{.*\\end\{[a-z]+\*?\})", flags=re.DOTALL)
 
 
 def place_script(app: Sphinx) -> None:
@@ -21,9 +39,82 @@ def place_script(app: Sphinx) -> None:
 
 def spare_pages(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
     """Take the script from pages without formulas: Sphinx gives it to the first page for the sake of those below it."""
+    if app.builder.name == "epub":
+        return
     if not app.env.get_domain("math").data["has_equations"].get(page):
         scripts = context["script_files"]
         scripts[:] = [script for script in scripts if not str(getattr(script, "filename", "")).endswith(SCRIPT)]
+    else:
+        context["metatags"] = context.get("metatags", "") + WITHOUT_SCRIPTS
+
+
+def plain(tex: str, macros: Mapping[str, str]) -> tuple[str, str]:
+    """Return a formula in the TeX that the converter knows, and its number, empty where it has none."""
+    known = "|".join(macros)
+    tex = re.sub(rf"\\({known})(?![A-Za-z])", lambda found: macros[found[1]], tex)
+    tex = _WRAPPED.sub("", tex)
+    # An operator's name is upright, and its limits stand below it.
+    tex = re.sub(r"\\operatorname\*?\{arg\\,(min|max)\}|\\arg\s*\\(min|max)", r"\\mathrm{arg\\,\1\2}", tex)
+    numbers = _TAG.findall(tex)
+    tex = _TAG.sub("", tex)
+    tex = re.sub(rf"\\begin\{{(?:{_LINES})\}}", lambda _: r"\begin{array}{rlrlrl}", tex)
+    tex = re.sub(rf"\\end\{{(?:{_LINES})\}}", lambda _: r"\end{array}", tex)
+    return tex.strip(), ", ".join(numbers)
+
+
+@cache
+def _converted(tex: str, block: bool) -> str:
+    return convert(tex, display="block" if block else "inline")
+
+
+def mathml(tex: str, block: bool, macros: Mapping[str, str]) -> tuple[str, str]:
+    """Return a formula as MathML, and its number; ExtensionError if something of the TeX is left in it."""
+    known, number = plain(tex, macros)
+    made = _converted(known, block)
+    try:
+        words = "".join(ElementTree.fromstring(made).itertext())
+    except ElementTree.ParseError as error:
+        raise ExtensionError(f"the MathML of a formula is not well formed ({error}): {tex}") from error
+    if left := re.findall(r"\\[A-Za-z]+|&", words):
+        raise ExtensionError(f"a formula cannot be written as MathML for {', '.join(left)}: {tex}")
+    return made, number
+
+
+def beside(markup: str, macros: Mapping[str, str], instead: bool) -> str:
+    """Return a formula's HTML with MathML for readers without scripts; with `instead`, with MathML alone."""
+
+    def both(found: re.Match[str]) -> str:
+        tex = next(part for part in found.groups() if part is not None)
+        made, number = mathml(html.unescape(tex), not found[0].startswith(r"\("), macros)
+        plainly = f'<span class="eqno">({html.escape(number)})</span>{made}' if number else made
+        if instead:
+            return plainly
+        # Where the formula is wider than a phone, book.js shows its number beside it.
+        numbered = f' data-number="({html.escape(number)})"' if number else ""
+        return f'<span class="tex"{numbered}>{found[0]}</span><noscript>{plainly}</noscript>'
+
+    return _DELIMITED.sub(both, markup, count=1)
+
+
+def with_mathml(visit: Callable[[Any, Any], None], translator: Any, node: nodes.Element) -> None:
+    """Write a formula as Sphinx's own visitor does, and its MathML to it."""
+    written = translator.body
+    begin = len(written)
+    try:
+        visit(translator, node)
+    except nodes.SkipNode:  # so the visitor says that it has written the children too
+        macros = translator.config.mathjax3_config["tex"]["macros"]
+        markup = beside("".join(written[begin:]), macros, instead=translator.builder.name == "epub")
+        written[begin:] = [markup]
+        raise
+
+
+def wrap_renderers(app: Sphinx) -> None:
+    """Have MathML written with every formula."""
+    # The registry takes no second renderer under the name for which Sphinx adds the script.
+    for renderers in (app.registry.html_inline_math_renderers, app.registry.html_block_math_renderers):
+        visit, leave = renderers["mathjax"]
+        renderers["mathjax"] = (partial(with_mathml, visit), leave)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -31,5 +122,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.setup_extension("sphinx.ext.mathjax")
     app.config.mathjax_path = SCRIPT
     app.connect("builder-inited", place_script)
+    app.connect("builder-inited", wrap_renderers, priority=900)  # after MyST, which puts in a renderer of its own
     app.connect("html-page-context", spare_pages, priority=900)  # after Sphinx's own, which has 500
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -21,6 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from rhl.paper.claims.claim import Claim
 from rhl.paper.claims.ledger import CLAIMS
+from rhl.paper.listing import section_id
 
 # Labels that begin so mark the statement of the paper that a page is about.
 STATED = "stated-"
@@ -82,30 +83,39 @@ def docname_of(claim: Claim) -> str:
     return claim.page.rpartition(".")[0]
 
 
+def leading(claims: list[Claim], name: str) -> Claim:
+    """The claim after which a page, a module or a file of tests is named, such as "theorem-2"; else the first."""
+    return next((claim for claim in claims if claim.id.startswith(name)), claims[0])
+
+
 def test_id(claim: Claim) -> str:
     """The anchor of a claim's tests on the page of the tests."""
     return Path(claim.test).stem.replace("_", "-")
 
 
-def trail(app: Sphinx, docname: str, claims: list[Claim], proof: str = "", here: str = "") -> list[tuple[str, str]]:
+def trail(
+    app: Sphinx, docname: str, claims: list[Claim], name: str, proof: str = "", here: str = ""
+) -> list[tuple[str, str]]:
     """What belongs to these claims, as (words, address seen from `docname`), in the order of an argument.
 
-    `proof` is the id of the proof's section on this page, `here` the word for where one is already.
+    `name` is what they are about, such as "theorem-2", `proof` the id of the proof's section on this page, `here` the
+    word for where one is already.
     """
+    main = leading(claims, name)
 
     def to(page: str, anchor: str = "") -> str:
         return app.builder.get_relative_uri(docname, page) + (f"#{anchor}" if anchor else "")
 
-    pages = list(dict.fromkeys(docname_of(claim) for claim in claims))
+    page = docname_of(main)
     labels = standard(app.env).anonlabels
-    stated = [(page, id) for page, id in labels.values() if page in pages and id.startswith(STATED)]
-    links = [("Statement", to(*stated[0]))] if stated else [("Page", to(pages[0]))]
+    stated = [id for place, id in labels.values() if place == page and id.startswith(STATED)]
+    links = [("Statement", to(page, stated[0]))] if stated else [("Page", to(page))]
     if proof:
         links.append(("Proof", f"#{proof}"))
-    links.append((f"Checks ({len(claims)})", to("book/ledger", claims[0].id)))
-    modules = list(dict.fromkeys(filter(None, map(module_of, claims))))
-    links += [("Code", to(f"_modules/{module.replace('.', '/')}")) for module in modules[:1]]
-    links += [("Tests", to("book/checks", test_id(claims[0])))]
+    links.append((f"Checks ({len(claims)})", to("book/ledger", section_id(main.page))))
+    if module := module_of(main):
+        links.append(("Code", to(f"_modules/{module.replace('.', '/')}")))
+    links.append(("Tests", to("book/checks", test_id(main))))
     return [(words, address) for words, address in links if words.partition(" ")[0] != here]
 
 
@@ -133,15 +143,18 @@ def add_trails(app: Sphinx, doctree: nodes.document, docname: str) -> None:
         for section in sections(doctree, "test-"):
             claims = [claim for claim in CLAIMS if test_id(claim) in section["ids"]]
             if claims:
-                section.insert(1, paragraph(trail(app, docname, claims, here="Tests")))
+                name = test_id(claims[0]).removeprefix("test-")
+                section.insert(1, paragraph(trail(app, docname, claims, name, here="Tests")))
     claims = [claim for claim in CLAIMS if docname_of(claim) == docname]
     stated = [block for block in doctree.findall(nodes.admonition) if any(id.startswith(STATED) for id in block["ids"])]
     if claims and stated:
         proofs = list(sections(doctree, "the-proof"))
         proof = proofs[0]["ids"][0] if proofs else ""
-        stated[0] += paragraph(trail(app, docname, claims, proof, here="Statement"))
+        (label,) = (id for id in stated[0]["ids"] if id.startswith(STATED))
+        name = label.removeprefix(STATED)
+        stated[0] += paragraph(trail(app, docname, claims, name, proof, here="Statement"))
         if proofs:
-            proofs[0].insert(1, paragraph(trail(app, docname, claims, here="Proof")))
+            proofs[0].insert(1, paragraph(trail(app, docname, claims, name, here="Proof")))
 
 
 def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
@@ -149,7 +162,8 @@ def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: di
     module = pagename.removeprefix("_modules/").replace("/", ".")
     claims = [claim for claim in CLAIMS if module_of(claim) == module]
     if claims and pagename.startswith("_modules/"):
-        links = trail(app, pagename, claims, here="Code")
+        name = module.rpartition(".")[2].replace("_", "-")
+        links = trail(app, pagename, claims, name, here="Code")
         line = " · ".join(f'<a class="reference internal" href="{address}">{words}</a>' for words, address in links)
         context["body"] = context["body"].replace("</h1>", f'</h1><p class="trail">{line}</p>', 1)
 

@@ -9,7 +9,8 @@ from itertools import pairwise
 
 from rhl.paper.chain import STANDINGS, Node, Standing, arrows
 from rhl.paper.claims.claim import Claim
-from rhl.paper.pages import readable, seen_from_book
+from rhl.paper.listing import seen_from_book
+from rhl.paper.pages import readable
 
 # All in CSS pixels of an unscaled picture; text is 13 and 11 high.
 _HEIGHT, _BETWEEN, _GAP, _MARGIN = 56, 44, 7, 4

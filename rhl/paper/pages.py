@@ -6,20 +6,14 @@ import html
 import math
 import os
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rhl.errors import InputError
-from rhl.paper.formal import anchor
 from rhl.paper.published import Comparison
 
 if TYPE_CHECKING:
     from pandas.io.formats.style import Styler
-
-    from rhl.paper.claims.claim import Claim, Judgement, Status
 
 
 def tell(**values: float | int | str) -> None:
@@ -99,95 +93,6 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
         }
         for row in rows
     )
-
-
-# What colour a status has, as a class of book/_static/book.css; the words carry the meaning too.
-_COLOURS: dict[Status, str] = {
-    "proved here": "stands",
-    "machine-checked": "stands",
-    "holds on all cases tried": "tried",
-    "holds once corrected": "corrected",
-    "fails: counterexample": "fails",
-    "cannot be checked": "given",
-    "no evidence": "open",
-}
-
-
-def badge(status: Status) -> str:
-    """Return a status as HTML in its colour."""
-    return f'<span class="standing {_COLOURS[status]}">{status}</span>'
-
-
-def status_counts(judgements: Iterable[Judgement]) -> str:
-    """Return how often each status came out, as HTML."""
-    counts = Counter(judgement.status for judgement in judgements)
-    return (
-        '<p class="status-counts">'
-        + " ".join(
-            f'<span class="count">{counts[status]} {badge(status)}</span>' for status in _COLOURS if counts[status]
-        )
-        + "</p>"
-    )
-
-
-def ledger_table(judgements: Iterable[Judgement]) -> str:
-    """Return judgements as HTML for a page in ``book/``: each row links to its page, its proof, code and test."""
-    rows = [_ledger_row(judgement) for judgement in judgements]
-    head = "<tr><th>claim</th><th>what it says, and what came out</th></tr>"
-    return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
-
-
-def _ledger_row(judgement: Judgement) -> str:
-    claim, found = judgement.claim, judgement.evidence
-    check = claim.stated.func if isinstance(claim.stated, partial) else claim.stated
-    module = check.__module__ if check else None
-    links = [(seen_from_book(claim.page), "page")]
-    if claim.proof:
-        links.append((seen_from_book(claim.proof), "proof"))
-    if module:
-        links.append((f"../_modules/{module.replace('.', '/')}.html", "code"))
-    links.append((f"checks.html#{Path(claim.test).stem.replace('_', '-')}", "test"))
-    says = [readable(claim.statement), badge(judgement.status)]
-    if found and claim.control:
-        words = (
-            f"{claim.method}, {found.cases} cases, worst {number(found.worst)}, tolerance {number(found.tolerance)} "
-            f"({readable(found.why)}). Fails with {readable(claim.control.what)}."
-        )
-        says[-1] += " " + words + (f" Holds with {readable(claim.instance.what)}." if claim.instance else "")
-    says += [readable(words) for words in (judgement.problem, claim.reason) if words]
-    if claim.uses:
-        says.append("Uses " + ", ".join(f'<a href="#{id}">{id}</a>' for id in claim.uses) + ".")
-    if claim.formal:
-        links.append((f"checked-by-machine.html#{anchor(claim.formal)}", "checked by machine"))
-    says.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
-    item = "" if claim.item == "text" else f"<br>{html.escape(claim.item)}"
-    return f'<tr id="{claim.id}"><td><code>{claim.id}</code>{item}</td><td>{"<br>".join(says)}</td></tr>'
-
-
-def seen_from_book(place: str) -> str:
-    """Return the address, seen from ``book/``, of a page of the sources such as "notebooks/05-lemma-1.ipynb#proof"."""
-    page, _, anchor = place.partition("#")
-    return f"../{page.rpartition('.')[0]}.html" + (f"#{anchor}" if anchor else "")
-
-
-def findings_table(claims: Iterable[Claim]) -> str:
-    """Return what is wrong and what is right about claims as HTML for a page in ``book/``, grouped by their pages."""
-    groups: dict[str, list[Claim]] = {}
-    for claim in claims:
-        groups.setdefault(claim.page, []).append(claim)
-    rows = []
-    for page, group in groups.items():
-        kind, _, rest = page.rpartition("/")[2].partition(".")[0].partition("-")[2].partition("-")
-        title = f"{kind} {rest}".replace("-", " ").strip().capitalize()
-        rows.append(f'<tr class="group"><th colspan="2"><a href="{seen_from_book(page)}">{title}</a></th></tr>')
-        rows += [
-            f"<tr><td>{html.escape(claim.item if claim.item != 'text' else 'In the text')}</td>"
-            f"<td>{readable(claim.statement)}<br>{readable(claim.reason)}<br>"
-            f'<a href="ledger.html#{claim.id}">{claim.id}</a></td></tr>'
-            for claim in group
-        ]
-    head = "<tr><th>where</th><th>what is said, and what is found</th></tr>"
-    return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
 
 
 def number(value: float) -> str:

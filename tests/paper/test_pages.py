@@ -10,16 +10,13 @@ import pytest
 from rhl.errors import InputError
 from rhl.paper.claims.claim import Evidence, Judgement
 from rhl.paper.claims.ledger import CLAIMS
+from rhl.paper.listing import badge, by_page, cards, findings_table, overview, section_id, status_counts
 from rhl.paper.pages import (
-    badge,
     comparison_table,
-    findings_table,
     grouped,
-    ledger_table,
     number,
     readable,
     scientific,
-    status_counts,
     table,
     tell,
 )
@@ -139,18 +136,29 @@ def test_no_claim_shows_plain_text_formulas():
 
 def test_rows_of_the_ledger_say_status_evidence_and_what_is_used():
     claim = next(claim for claim in CLAIMS if claim.id == "eq-39")
-    row = ledger_table([Judgement(claim, "holds", Evidence(7, 2e-12, 1e-9, "rounding"), True, None, "", 0.1)])
-    assert '<span class="standing stands">proved here</span> numerical sampling, 7 cases, worst 2·10⁻¹²' in row
+    row = cards([Judgement(claim, "holds", Evidence(7, 2e-12, 1e-9, "rounding"), True, None, "", 0.1)])
+    assert '<span class="standing stands">proved here</span></p>' in row
+    assert "numerical sampling: 7 cases, worst 2·10⁻¹²" in row
     assert "Fails with Γ a thousand times too small." in row
     assert '<a href="#assumption-3">assumption-3</a>' in row
     assert 'href="../notebooks/07-lemma-3.html#the-proof-step-by-step">proof' in row
     refuted = next(claim for claim in CLAIMS if claim.recorded == "refuted")
-    row = ledger_table([Judgement(refuted, "refuted", Evidence(1, 1.0, 0.0), True, True, "", 0.1)])
+    row = cards([Judgement(refuted, "refuted", Evidence(1, 1.0, 0.0), True, True, "", 0.1)])
     assert f"Holds with {readable(refuted.instance.what)}." in row
     broken = Judgement(claim, "no-evidence", Evidence(0, np.nan), True, None, "the check raised E", 0.1)
-    assert '<span class="standing open">no evidence</span>' in ledger_table([broken])
-    assert "the check raised E" in ledger_table([broken])
+    assert '<span class="standing open">no evidence</span>' in cards([broken])
+    assert "the check raised E" in cards([broken])
     assert "1 " + badge("no evidence") in status_counts([broken])
+
+
+def test_the_overview_counts_each_claim_once_and_leads_to_its_result():
+    judgements = [Judgement(claim, claim.recorded, None, None, None, "", 0.0) for claim in CLAIMS]
+    shown = overview(judgements)
+    assert sum(map(int, re.findall(r"<td>(\d+)</td>", shown))) == len(CLAIMS)
+    targets = re.findall(r'href="#([^"]*)"', shown)
+    assert targets == [section_id(page) for page in by_page(CLAIMS, lambda claim: claim.page)]
+    ledger = (ROOT / "book/ledger.md").read_text(encoding="utf-8")
+    assert [target for target in targets if f"\n({target})=\n" not in ledger] == []
 
 
 def test_findings_are_grouped_by_page():

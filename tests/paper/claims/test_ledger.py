@@ -13,7 +13,7 @@ import yaml
 from rhl.errors import InputError
 from rhl.paper.claims import ledger
 from rhl.paper.claims.claim import Claim, Effort, Evidence, Judgement, judge
-from rhl.paper.pages import ledger_table
+from rhl.paper.listing import cards
 
 ROOT = Path(__file__).resolve().parents[3]
 COUNTS = {"Equation": 55, "Assumption": 7, "Lemma": 6, "Theorem": 3, "Remark": 4, "Figure": 9}
@@ -110,6 +110,6 @@ def test_what_json_does_not_know_is_null(worst):
 
 def test_rows_link_to_code_of_this_library():
     unjudged = [Judgement(claim, claim.recorded, None, None, None, "", 0.0) for claim in ledger.CLAIMS]
-    modules = set(re.findall(r'"\.\./_modules/([^"]*)\.html"', ledger_table(unjudged)))
+    modules = set(re.findall(r'"\.\./_modules/([^"]*)\.html"', cards(unjudged)))
     assert len(modules) > 10
     assert all((ROOT / f"{module}.py").is_file() for module in modules)
