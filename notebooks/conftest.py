@@ -21,6 +21,7 @@ REFUSED = frozenset(
         *(
             "sphinx_book_theme",
             "sphinx_mathjax_offline",
+            "latex2mathml",
             "playwright",
             "axe_playwright_python",
             "pypdf",

@@ -12,9 +12,7 @@ from sphinx.application import Sphinx
 
 TEXTS = "search-texts.js"
 # What a page holds beside its prose.
-NOT_PROSE = (
-    "pre, script, style, table, svg, figure, button, details.toggle-details, .headerlink, .take-away, .trail, .tex"
-)
+NOT_PROSE = "pre, script, style, table, svg, figure, button, summary, .headerlink, .take-away, .trail, .tex"
 
 
 def prose(page: str) -> dict[str, str]:

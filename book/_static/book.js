@@ -1,5 +1,5 @@
-// What the book adds to its theme: wide parts can be scrolled with the keyboard, and a link to a result shows its
-// statement under the pointer.
+// What the book adds to its theme: wide parts can be scrolled with the keyboard and say so, tables become cards on a
+// phone, and a link to a result shows its statement under the pointer.
 "use strict";
 
 (() => {
@@ -9,13 +9,31 @@
     const scrolls = part.scrollWidth > part.clientWidth && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
     if (scrolls && part.tabIndex !== 0) {
       part.tabIndex = 0;
-      part.dataset.scrolls = "";
+      // What a reader would otherwise not see: that there is more, and the formula's number at its far end.
+      part.dataset.scrolls = `${part.querySelector("[data-number]")?.dataset.number ?? ""} scroll →`.trim();
     } else if (!scrolls && "scrolls" in part.dataset) {
       part.removeAttribute("tabindex");
       delete part.dataset.scrolls;
     }
   };
-  const markAll = () => document.querySelectorAll(WIDE).forEach(mark);
+
+  // A table that is wider than a phone becomes a card for each row, whose cells say what they are.
+  const narrow = matchMedia("(max-width: 36rem)");
+  const lay = (table) => {
+    if (table.closest(".stacked, .rhl-explore") || table.matches(".stacked, .overview")) return;
+    table.classList.remove("cards");
+    if (!narrow.matches || table.scrollWidth <= table.clientWidth) return;
+    const heads = [...table.querySelectorAll("thead tr:last-child th")].map((head) => head.textContent.trim());
+    if (!heads.length) return;
+    for (const row of table.querySelectorAll("tbody tr")) {
+      [...row.cells].forEach((cell, i) => (cell.dataset.head = heads[i] ?? ""));
+    }
+    table.classList.add("cards");
+  };
+  const markAll = () => {
+    document.querySelectorAll("article table").forEach(lay);
+    document.querySelectorAll(WIDE).forEach(mark);
+  };
 
   // Statements under the pointer.
   const previews = new URL("statements.json", document.currentScript.src);

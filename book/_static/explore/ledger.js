@@ -16,9 +16,9 @@
     root.append(label, control);
     return control;
   };
-  const word = labelled("ledger-word", "Show claims with the words", document.createElement("input"));
+  const word = labelled("ledger-word", "Words", document.createElement("input"));
   word.type = "search";
-  const select = labelled("ledger-status", "and the status", document.createElement("select"));
+  const select = labelled("ledger-status", "Status", document.createElement("select"));
   select.add(new Option("any", ""));
   for (const status of statuses) select.add(new Option(status, status));
   const counted = document.createElement("p");
