@@ -1,4 +1,4 @@
-"""Bring the page on which readers run the scheme what it runs: rhl's own files, an interpreter, plants to begin with."""
+"""Bring the page on which readers run the scheme what it runs: rhl's own files, an interpreter, plants."""
 
 import io
 import json
@@ -19,11 +19,15 @@ SCRIPTS = ("explore/chart.js", "live/build.js", "live/page.js")
 
 
 def library(root: Path) -> bytes:
-    """The library's files as they are, in an archive from which Python imports."""
+    """An archive from which Python imports: the library's files as they are, the driver, and what stands for numpy."""
+    live = root / "book/_static/live"
+    files = {path.relative_to(root).as_posix(): path for part in PARTS for path in root.glob(part)}
+    files |= {f"numpy/{path.name}": path for path in (live / "stand_in").glob("*.py")}
+    files["driver.py"] = live / "driver.py"
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(path for part in PARTS for path in root.glob(part)):
-            entry = zipfile.ZipInfo(path.relative_to(root).as_posix())  # without a date, so that builds agree
+        for name, path in sorted(files.items()):
+            entry = zipfile.ZipInfo(name)  # without a date, so that builds agree
             archive.writestr(entry, path.read_bytes(), zipfile.ZIP_DEFLATED)
     return packed.getvalue()
 
@@ -48,8 +52,8 @@ def place(app: Sphinx) -> None:
     shutil.rmtree(live / "engine", ignore_errors=True)
     if engine.is_dir():
         shutil.copytree(engine, live / "engine")
-    own = sum((ROOT / "book/_static/live" / name).stat().st_size for name in ("worker.js", "driver.py", "stand_in.py"))
-    told = json.dumps(description(engine, own + len(packed)))
+    worker = ROOT / "book/_static/live/worker.js"
+    told = json.dumps(description(engine, worker.stat().st_size + len(packed)))
     # A script and not bare JSON: a book opened from a folder may load scripts, but a browser lets it fetch nothing.
     (live / "build.js").write_text(f"window.rhlLive = {told};\n", encoding="utf-8")
 

@@ -54,7 +54,12 @@ def presets() -> tuple[Preset, ...]:
     assert isinstance(example.plant, LinearPlant)
     found = [Preset("linear-example", "the paper's linear example", fields(example.plant, example.scheme, example.z0))]
     for name, title, plant, z0 in (
-        ("scalar", "one state that grows by a fifth each step", LinearPlant([[1.2]], [[1.0]], [[1.0]]), np.ones(1)),
+        (
+            "scalar",
+            "one state that grows by a fifth each step",
+            LinearPlant(np.full((1, 1), 1.2), np.eye(1), np.eye(1)),
+            np.ones(1),
+        ),
         ("pendulum", "inverted pendulum, a metre long, driven by a torque", *_pendulum()),
     ):
         found.append(Preset(name, title, _fields_to_begin_with(plant, z0)))
@@ -68,7 +73,7 @@ def _pendulum() -> tuple[LinearPlant, Array]:
     """Return a massless rod with a ball on top, near the upright, sampled ten times a second; the angle is measured."""
     gravity, length = 9.81, 1.0
     F, G = held(np.array([[0.0, 1.0], [gravity / length, 0.0]]), np.array([[0.0], [1.0]]), 0.1)
-    return LinearPlant(F, G, [[1.0, 0.0]]), np.array([0.1, 0.0])
+    return LinearPlant(F, G, np.eye(1, 2)), np.array([0.1, 0.0])
 
 
 def _fields_to_begin_with(plant: LinearPlant, z0: Array) -> Mapping[str, str]:

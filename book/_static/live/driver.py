@@ -1,6 +1,6 @@
 """What the page that runs rhl does with it: settings as they are typed, a run step by step, its numbers.
 
-The page lets an interpreter in the browser run this file, with `stand_in.py` as numpy. It runs beside numpy too, where
+The page lets an interpreter in the browser run this file, with `stand_in` as numpy. It runs beside numpy too, where
 the tests hold `prepare` against `rhl.simulate`.
 """
 
@@ -131,7 +131,7 @@ def start(settings):
 
 
 def advance(run):
-    """Return what the next step came to and "", or None and the sentence with which the run ends early, "" at its end."""
+    """Return what the next step came to and "", or None and why there is none: "" at the end of the run."""
     if run.k == run.steps:
         return None, ""
     try:

@@ -3,7 +3,6 @@
    It gets {start: settings} or {stop: true}. It answers {ready}, {steps}, {ended}, {refused}, {stopped} or {broken}. */
 
 const HERE = new URL(".", import.meta.url);
-const FILES = { "numpy.py": "stand_in.py", "driver.py": "driver.py", "library.zip": "library.zip" };
 const SHARE = 60; // milliseconds of steps between two looks at what the page has sent
 
 let asked = 0;
@@ -13,13 +12,10 @@ async function boot() {
   const began = performance.now();
   const { loadPyodide } = await import(new URL("engine/pyodide.mjs", HERE));
   const python = await loadPyodide({ indexURL: new URL("engine/", HERE).href });
-  python.FS.mkdir("/live");
-  await Promise.all(Object.entries(FILES).map(async ([name, from]) => {
-    const answer = await fetch(new URL(from, HERE));
-    if (!answer.ok) throw new Error(`${from} could not be loaded`);
-    python.FS.writeFile(`/live/${name}`, new Uint8Array(await answer.arrayBuffer()));
-  }));
-  python.runPython("import sys; sys.path[:0] = ['/live', '/live/library.zip']");
+  const library = await fetch(new URL("library.zip", HERE));
+  if (!library.ok) throw new Error("library.zip could not be loaded");
+  python.FS.writeFile("/library.zip", new Uint8Array(await library.arrayBuffer()));
+  python.runPython("import sys; sys.path.insert(0, '/library.zip')");
   const driver = python.pyimport("driver");
   const bytes = performance.getEntriesByType("resource").reduce((sum, entry) => sum + entry.decodedBodySize, 0);
   postMessage({ ready: { bytes, seconds: (performance.now() - began) / 1000 } });

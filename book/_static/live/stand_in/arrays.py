@@ -1,26 +1,14 @@
-"""A stand-in for numpy: as much of it as rhl needs to check its input, set a scheme up and run its loops on small arrays.
+"""The array: a dictionary from an entry's indices to the entry, with numpy's shapes, slices and arithmetic.
 
-No build of numpy for the browser can be had without another host, and the loops need nothing of it but an array that
-they read and write entry by entry. An array is a dictionary from an entry's indices to the entry, because that lookup
-is the quickest that the interpreter has for a[i, j, l]; its order is that of the indices. Where an array has four axes
-or more, it holds one array for each value of the first, so that a[i] is a part of a and no copy.
-
-What is not here is missing loudly (AttributeError or NotImplementedError), never approximated.
+That lookup is the quickest that the interpreter has for a[i, j, l]. The order of the dictionary is that of the indices.
+Where an array has four axes or more, it holds one array for each value of the first, so that a[i] is a part of a and no
+copy.
 """
 
 import math
 import operator
-import sys
-from contextlib import nullcontext
 from itertools import product
-from types import ModuleType, SimpleNamespace
-
-inf, nan, pi, newaxis = math.inf, math.nan, math.pi, None
-float64, int64, bool_ = float, int, bool
-
-
-class integer:
-    """No integer is one of numpy's own."""
+from types import SimpleNamespace
 
 
 class _Kind:
@@ -80,12 +68,6 @@ class ndarray(Grid):
     def __float__(self):
         return float(self.item())
 
-    def __format__(self, how):
-        return format(self.item(), how)
-
-    def __repr__(self):
-        return f"array({self.tolist()})"
-
     def item(self):
         (only,) = flat(self)
         return only
@@ -131,7 +113,8 @@ class ndarray(Grid):
         """Return the shape of what a key of integers, slices, None and an ellipsis selects, and the places in it."""
         keys = list(key) if isinstance(key, tuple) else [key]
         at = next((i for i, part in enumerate(keys) if part is Ellipsis), len(keys))
-        keys[at : at + 1] = [slice(None)] * (self.ndim - sum(part is not None and part is not Ellipsis for part in keys))
+        given = sum(part is not None and part is not Ellipsis for part in keys)
+        keys[at : at + 1] = [slice(None)] * (self.ndim - given)
         shape, axes = [], []
         for part in keys:
             if part is None:
@@ -159,10 +142,10 @@ class ndarray(Grid):
         return transposed(self, axes)
 
     def max(self):
-        return _max(self)
+        return max(flat(self))
 
     def min(self):
-        return _min(self)
+        return min(flat(self))
 
     def __matmul__(self, other):
         if self.ndim != 2 or other.ndim != 2:
@@ -220,10 +203,10 @@ def _nested(value):
 def _kind(entries):
     """Return the kind that holds all entries, as numpy chooses it."""
     found = {type(entry) for entry in entries}
-    for kind, types in (("b", {bool}), ("i", {bool, int}), ("f", {bool, int, float}), ("c", {bool, int, float, complex})):
-        if entries and found <= types:
-            return kind
-    return "f" if not entries else "U" if found <= {bool, int, float, complex, str} else "O"
+    if not entries:
+        return "f"
+    known = (("b", bool), ("i", int), ("f", float), ("c", complex), ("U", str))
+    return next((kind for i, (kind, _) in enumerate(known) if found <= {of for _, of in known[: i + 1]}), "O")
 
 
 def array(value, dtype=None, order=None, subok=None):
@@ -237,7 +220,7 @@ def _as_float(entry):
     try:
         return float(entry)
     except OverflowError:
-        return math.copysign(inf, entry)
+        return math.copysign(math.inf, entry)
 
 
 def asarray(value, dtype=None):
@@ -255,19 +238,8 @@ def zeros(shape, dtype=float):
 empty = zeros
 
 
-def ones(shape):
-    return ndarray(shape, 1.0)
-
-
 def full(shape, value):
     return ndarray(shape, value, _kind([value]))
-
-
-def zeros_like(value):
-    return ndarray(value.shape)
-
-
-empty_like = zeros_like
 
 
 def eye(n, m=None, k=0):
@@ -277,10 +249,6 @@ def eye(n, m=None, k=0):
     return found
 
 
-def arange(*limits):
-    return array(list(range(*limits)))
-
-
 # Shapes
 
 
@@ -288,13 +256,10 @@ def shape(value):
     return _nested(value)[0]
 
 
-def ndim(value):
-    return len(shape(value))
-
-
 def broadcast_shapes(*shapes):
     most = max(map(len, shapes), default=0)
-    columns = [{length for length in column if length != 1} for column in zip(*((1,) * (most - len(s)) + s for s in shapes))]
+    padded = ((1,) * (most - len(shape)) + shape for shape in shapes)
+    columns = [set(column) - {1} for column in zip(*padded, strict=True)]
     if any(len(lengths) > 1 for lengths in columns):
         raise ValueError("shapes do not broadcast together")
     return tuple(lengths.pop() if lengths else 1 for lengths in columns)
@@ -334,7 +299,7 @@ def concatenate(arrays, axis=0):
 # Entry by entry
 
 
-def _each(function, *values, kind="f"):
+def each(function, *values, kind="f"):
     shape = broadcast_shapes(*(asarray(value).shape for value in values))
     columns = (flat(broadcast_to(value, shape)) for value in values)
     return made(shape, [function(*entries) for entries in zip(*columns, strict=True)], kind)
@@ -343,12 +308,12 @@ def _each(function, *values, kind="f"):
 def _divided(a, b):
     if b:
         return a / b
-    return nan if a == 0 or a != a else math.copysign(inf, a) * math.copysign(1, b)
+    return math.nan if a == 0 or a != a else math.copysign(math.inf, a) * math.copysign(1, b)
 
 
 def _attach(name, function, kind="f"):
-    setattr(ndarray, f"__{name}__", lambda self, other: _each(function, self, other, kind=kind))
-    setattr(ndarray, f"__r{name}__", lambda self, other: _each(function, other, self, kind=kind))
+    setattr(ndarray, f"__{name}__", lambda self, other: each(function, self, other, kind=kind))
+    setattr(ndarray, f"__r{name}__", lambda self, other: each(function, other, self, kind=kind))
 
 
 for _name in ("add", "sub", "mul"):
@@ -359,186 +324,6 @@ for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
     _attach(_name, getattr(operator, _name), "b")
 _attach("and", lambda a, b: a and b, "b")
 _attach("or", lambda a, b: a or b, "b")
-ndarray.__neg__ = lambda self: _each(operator.neg, self)
-ndarray.__abs__ = lambda self: _each(abs, self)
-ndarray.__invert__ = lambda self: _each(operator.not_, self, kind="b")
-
-
-def sqrt(value):
-    return _each(math.sqrt, value)
-
-
-def _abs(value):
-    return _each(abs, value)
-
-
-def _function(name):
-    return lambda value: _each(getattr(math, name), value)
-
-
-sin, cos, tanh, exp = map(_function, ("sin", "cos", "tanh", "exp"))
-
-
-def isfinite(value):
-    return _each(math.isfinite, value, kind="b")
-
-
-def where(condition, yes, no):
-    return _each(lambda c, a, b: a if c else b, condition, yes, no)
-
-
-def array_equal(one, other):
-    return shape(one) == shape(other) and flat(asarray(one)) == flat(asarray(other))
-
-
-# Over axes
-
-
-def _over(function, value, axis, keepdims, kind):
-    value = asarray(value)
-    if axis is None:
-        return function(flat(value))
-    gone = {one % value.ndim for one in (axis if isinstance(axis, tuple) else (axis,))}
-    kept = [slice(None) if at in gone else range(length) for at, length in enumerate(value.shape)]
-    entries = []
-    for place in product(*((part,) if isinstance(part, slice) else part for part in kept)):
-        entries.append(function(flat(value._part((*place, Ellipsis)))))
-    lengths = [1 if at in gone else length for at, length in enumerate(value.shape) if keepdims or at not in gone]
-    return made(tuple(lengths), entries, kind)
-
-
-def _greatest(entries):
-    return nan if any(entry != entry for entry in entries) else max(entries)
-
-
-def _least(entries):
-    return nan if any(entry != entry for entry in entries) else min(entries)
-
-
-def _max(value, axis=None, keepdims=False):
-    return _over(_greatest, value, axis, keepdims, "f")
-
-
-def _min(value, axis=None, keepdims=False):
-    return _over(_least, value, axis, keepdims, "f")
-
-
-def _all(value, axis=None):
-    return _over(all, value, axis, False, "b")
-
-
-def _any(value, axis=None):
-    return _over(any, value, axis, False, "b")
-
-
-def diff(value):
-    entries = flat(value)
-    return array([after - before for before, after in zip(entries, entries[1:])])
-
-
-def unique(value, return_inverse):
-    entries = flat(value)
-    found = sorted(set(entries))
-    return array(found), array([found.index(entry) for entry in entries])
-
-
-def flatnonzero(value):
-    return array([at for at, entry in enumerate(flat(value)) if entry])
-
-
-# Linear algebra of small matrices
-
-
-class LinAlgError(ValueError):
-    """A matrix is not what a factorisation needs."""
-
-
-def cholesky(M):
-    """Return the lower triangular factor of a positive definite matrix."""
-    n = len(M)
-    L = zeros((n, n))
-    for j in range(n):
-        pivot = M[j, j] - sum(L[j, k] ** 2 for k in range(j))
-        if not pivot > 0:
-            raise LinAlgError("the matrix is not positive definite")
-        L[j, j] = math.sqrt(pivot)
-        for i in range(j + 1, n):
-            L[i, j] = (M[i, j] - sum(L[i, k] * L[j, k] for k in range(j))) / L[j, j]
-    return L
-
-
-def svd(M, compute_uv=True):
-    """Return the singular values, largest first, by Jacobi's rotations of the shorter side's vectors."""
-    if compute_uv or M.ndim != 2:
-        raise NotImplementedError("only the singular values of one matrix")
-    rows = M.tolist() if M.shape[0] <= M.shape[1] else M.T.tolist()
-    for _ in range(60):
-        turned = False
-        for i in range(len(rows)):
-            for j in range(i + 1, len(rows)):
-                a, b = rows[i], rows[j]
-                aa, bb, ab = (sum(map(operator.mul, s, t)) for s, t in ((a, a), (b, b), (a, b)))
-                if abs(ab) <= 1e-16 * math.sqrt(aa) * math.sqrt(bb):
-                    continue
-                turned = True
-                zeta = (bb - aa) / (2 * ab)
-                t = math.copysign(1.0, zeta) / (abs(zeta) + math.hypot(1.0, zeta))
-                c = 1 / math.hypot(1.0, t)
-                rows[i] = [c * (x - t * y) for x, y in zip(a, b, strict=True)]
-                rows[j] = [c * (t * x + y) for x, y in zip(a, b, strict=True)]
-        if not turned:
-            break
-    return array(sorted((math.hypot(*row) for row in rows), reverse=True))
-
-
-def eigvalsh(M):
-    """Return the eigenvalues of a symmetric matrix, least first, by Jacobi's rotations."""
-    A, n = M.tolist(), len(M)
-    for _ in range(60):
-        for p in range(n):
-            for q in range(p + 1, n):
-                if A[p][q] == 0:
-                    continue
-                zeta = (A[q][q] - A[p][p]) / (2 * A[p][q])
-                t = math.copysign(1.0, zeta) / (abs(zeta) + math.hypot(1.0, zeta))
-                c = 1 / math.hypot(1.0, t)
-                for k in range(n):
-                    x, y = A[k][p], A[k][q]
-                    A[k][p], A[k][q] = c * (x - t * y), c * (t * x + y)
-                for k in range(n):
-                    x, y = A[p][k], A[q][k]
-                    A[p][k], A[q][k] = c * (x - t * y), c * (t * x + y)
-    return array(sorted(A[i][i] for i in range(n)))
-
-
-def errstate(**_):
-    return nullcontext()
-
-
-class _Sub:
-    """What stands in annotations, which nobody reads."""
-
-    def __class_getitem__(cls, _):
-        return cls
-
-
-def finfo(_):
-    return SimpleNamespace(eps=sys.float_info.epsilon, max=sys.float_info.max, tiny=sys.float_info.min)
-
-
-linalg = SimpleNamespace(LinAlgError=LinAlgError, cholesky=cholesky, svd=svd, eigvalsh=eigvalsh)
-ma = SimpleNamespace(is_masked=lambda value: False)
-typing = ModuleType("numpy.typing")
-typing.NDArray = typing.ArrayLike = _Sub
-sys.modules["numpy.typing"] = typing
-# As the loops see it: arrays without slices, which are quicker to write into.
-loops = SimpleNamespace(empty=Grid, zeros=Grid, empty_like=lambda value: Grid(value.shape))
-
-# Under these names they would hide Python's own from this file.
-_HIDING = {"max": _max, "min": _min, "all": _all, "any": _any, "abs": _abs}
-
-
-def __getattr__(name):
-    if name in _HIDING:
-        return _HIDING[name]
-    raise AttributeError(f"the stand-in for numpy has no {name}")
+ndarray.__neg__ = lambda self: each(operator.neg, self)
+ndarray.__abs__ = lambda self: each(abs, self)
+ndarray.__invert__ = lambda self: each(operator.not_, self, kind="b")
