@@ -19,6 +19,7 @@ help: ## list these commands
 env: .venv/compiled ## make .venv with everything in environment.lock, and rhl on its path, its loops compiled
 
 book: env ## execute and build the book into build/_build/html
+	python tools/engine.py
 	RHL_BOOK=1 python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
 
 test: env ## lint, types, library, notebooks, README and the book

@@ -115,6 +115,7 @@ PAPER = [
     "paper.listing",
     "paper.chain_picture",
     "paper.sweeps",
+    "paper.playground",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = [
@@ -160,7 +161,7 @@ FORBIDDEN = {
     "memory": {"lifting", *PLANTS},
     "units": {"estimator", "losses", *PLANTS},
     "lifting": PLANTS,
-    **{f"paper.{name}": set(STUDY) for name in ("published", "pages", "sweeps")},
+    **{f"paper.{name}": set(STUDY) for name in ("published", "pages", "sweeps", "playground")},
     "app.cli": {"paper.pages", "paper.sweeps"},
 }
 # What takes long to load, or is needed by a room other than the core.

@@ -140,6 +140,11 @@ const rhlExplore = (() => {
     log: (v) => Math.log10(Math.max(v, FLOOR)),
     signed: (v) => Math.sign(v) * Math.log10(1 + Math.abs(v)),
   };
+  const unbend = {
+    even: (v) => v,
+    log: (v) => 10 ** v,
+    signed: (v) => Math.sign(v) * (10 ** Math.abs(v) - 1),
+  };
 
   /* The vertical axis that holds all values: logarithmic where asked for, and signed-logarithmic where they explode. */
   function axis(values, log) {
@@ -207,6 +212,14 @@ const rhlExplore = (() => {
         shape("text", { class: end ? "note end" : "note", x: at + (end ? -4 : 4), y: top + 11 }, svg, this.mark.text);
       }
       this.canvas.replaceChildren(svg);
+      /* Which point of the chart a pointer is at, kept inside of the axes. */
+      this.where = ({ clientX, clientY }) => {
+        const box = svg.getBoundingClientRect();
+        const within = (share) => Math.min(Math.max(share, 0), 1);
+        const along = within(((clientX - box.left) * (width / box.width) - left) / (right - left));
+        const upward = within((bottom - (clientY - box.top) * (height / box.height)) / (bottom - top));
+        return { x: from + along * (to - from), y: unbend[up.kind](low + upward * (high - low)) };
+      };
     }
 
     curve(svg, { x, y, kind, colour }, X, Y) {
