@@ -114,6 +114,7 @@ PAPER = [
     "paper.pages",
     "paper.chain_picture",
     "paper.sweeps",
+    "paper.watch",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = [

@@ -315,7 +315,7 @@ const rhlExplore = (() => {
       .then((data) => {
         build(host, data);
         host.hidden = false;
-        document.querySelector(`.tag_explore-${name}`)?.classList.add("explored");
+        document.querySelector(`.tag_explore-${name}, .still-${name}`)?.classList.add("explored");
         host.dispatchEvent(new Event("ready"));
       })
       .catch((error) => {

@@ -143,7 +143,9 @@
         if (mine !== wanted) return;
         [data, run] = [found, name];
       } catch (error) {
+        picker.value = run;
         line.say(`${error.message}; this is still ${data.title.toLowerCase()}.`);
+        return;
       }
       picker.value = run;
       at.input.max = data.y[0].length - 1;
