@@ -116,6 +116,7 @@ PAPER = [
     "paper.chain_picture",
     "paper.sweeps",
     "paper.playground",
+    "paper.watch",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -55,45 +56,53 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
     return figure
 
 
-def opening(trace: Trace) -> str:
-    """Draw the linear example's output on the published one as HTML for the first page, whose style lets it move.
+def opening(curves: Mapping[str, Array], steps: int = 25) -> str:
+    """Draw the first page's picture as HTML: the same plant left alone, with a known model, and under the scheme.
 
-    The figure has an inline SVG: one circle for each published sample, one path for the trace of
-    ``published.linear_example()``.
+    ``curves`` are those of ``watch.contrast()``, in metres; they are drawn in centimetres, for so many steps. The
+    figure is an inline SVG that is complete as it stands; the page's script lets it move, where motion is wanted.
 
     Examples
     --------
-    >>> from rhl.paper.published import linear_example
-    >>> opening(linear_example().run()).count("<circle")
-    41
+    >>> from rhl.paper.watch import contrast
+    >>> picture = opening(contrast())
+    >>> picture.count("<path")
+    3
     """
-    published = curve("linear_y")
-    ours = trace.y[: len(published), 0]
-    top, width, height = float(np.ceil(np.max(np.abs([ours, published])) / 10) * 10), 640.0, 210.0
-    x = 50 + (width - 70) * np.arange(len(published)) / (len(published) - 1)
+    width, height, left, right, top, bottom = 640.0, 232.0, 44.0, 630.0, 12.0, 186.0
+    low, high = -3.0, 12.0
+    x = left + (right - left) * np.arange(steps) / (steps - 1)
 
     def up(values: Array) -> Array:
-        return np.asarray(height / 2 - 10 - (height / 2 - 22) * values / top)
+        return np.asarray(bottom - (bottom - top) * (values - low) / (high - low))
 
-    path = f"M{x[0]:.1f} {up(ours)[0]:.1f}" + "".join(
-        f"H{at:.1f}V{level:.1f}" for at, level in zip(x[1:], up(ours)[1:], strict=True)
-    )
-    circles = "".join(
-        f'<circle style="--k:{k}" cx="{at:.1f}" cy="{level:.1f}" r="4.5"/>'
-        for k, (at, level) in enumerate(zip(x, up(published), strict=True))
-    )
-    axes = "".join(
-        f'<line class="axis" x1="{x[0]:.1f}" x2="{x[-1]:.1f}" y1="{level:.1f}" y2="{level:.1f}"/>'
-        f'<text x="42" y="{level + 5:.1f}" text-anchor="end">{str(round(value)).replace("-", "−")}</text>'
-        for value, level in zip((-top, 0.0, top), up(np.array([-top, 0.0, top])), strict=True)
+    def path(name: str, values: Array) -> str:
+        # What is far outside of the picture need not be drawn where it is, only leave it in the right direction.
+        inside = np.clip(100 * values[:steps], -1e3, 1e3)
+        points = "L".join(f"{at:.2f} {level:.2f}" for at, level in zip(x, up(inside), strict=True))
+        return f'<path class="{name.replace(" ", "-")}" d="M{points}"/>'
+
+    grid = "".join(
+        f'<line class="axis" x1="{left:g}" x2="{right:g}" y1="{level:.1f}" y2="{level:.1f}"/>'
+        f'<text x="{left - 7:g}" y="{level + 5:.1f}" text-anchor="end">{value:g}</text>'
+        for value, level in zip((0.0, 4.0, 8.0, 12.0), up(np.array([0.0, 4.0, 8.0, 12.0])), strict=True)
     )
     marks = "".join(
-        f'<text x="{x[k]:.1f}" y="{height - 2:.1f}" text-anchor="middle">{k}</text>' for k in range(0, len(x), 10)
+        f'<text x="{x[k]:.1f}" y="{bottom + 20:g}" text-anchor="middle">{k}</text>' for k in range(0, steps, 4)
     )
+    alone = 100 * curves["left alone"][:steps]
+    leaves = float(np.interp(high, alone, x))
+    note = f'<text class="note" x="{leaves + 12:.1f}" y="{top + 16:g}">runs away</text>'
+    lines = "".join(path(name, values) for name, values in reversed(list(curves.items())))
+    keys = "".join(f'<span class="key {name.replace(" ", "-")}">{name}</span>' for name in curves)
     return (
         f'<figure class="rhl-figure rhl-opening"><svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="The '
-        "output of the paper's linear example swings and goes to zero; the published circles lie on the line that was "
-        f'computed here.">{axes}{marks}{circles}<path class="ours" pathLength="1" d="{path}"/></svg>'
-        "<figcaption>Output y of the paper's linear example over the step k: the circles are published, the line was "
-        "computed while this page was built.</figcaption></figure>"
+        "same unstable plant three times. Left alone it runs off the picture. With a known model it comes to rest at "
+        f'once. Under this scheme it swings while it is being learned, and then comes to rest.">'
+        f'<defs><clipPath id="rhl-opening-frame"><rect x="{left - 4:g}" y="{top - 4:g}" '
+        f'width="{right - left + 8:g}" height="{bottom - top + 8:g}"/></clipPath></defs>{grid}{marks}{note}'
+        f'<text class="name" x="{right:g}" y="{height - 4:g}" text-anchor="end">step k</text>'
+        f'<g class="curves" clip-path="url(#rhl-opening-frame)">{lines}</g></svg>'
+        f'<figcaption><span class="keys">{keys}</span> Position of a ball below an electromagnet, in cm, over the step '
+        "k. All three runs start from the same state.</figcaption></figure>"
     )

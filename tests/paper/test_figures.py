@@ -34,18 +34,6 @@ def test_reproduction_of_the_arm():
     ]
 
 
-def test_first_page_draws_the_samples(linear):
-    page = figures.opening(linear)
-    at = np.array([[float(x), float(y)] for x, y in re.findall(r'cx="(\S+)" cy="(\S+)"', page)])
-    path = [float(y) for y in re.findall(r"(?:M\S+ |V)([\d.]+)", re.search(r' d="(\S+ [^"]+)"', page)[1])]
-    assert len(at) == len(path) == len(curve("linear_y"))
-    # Downwards on the page is downwards in the signal, in proportion.
-    slope, _ = np.polyfit(curve("linear_y"), at[:, 1], 1)
-    assert slope < 0
-    assert np.abs(np.array(path) - at[:, 1]).max() < abs(slope) * 0.12 + 0.2
-    assert np.abs(np.polyval(np.polyfit(curve("linear_y"), at[:, 1], 1), linear.y[:41, 0]) - path).max() < 0.2
-
-
 def coordinates(svg: str) -> list[float]:
     return [float(number) for number in re.findall(r"-?\d+\.\d+", svg)]
 

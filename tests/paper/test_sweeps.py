@@ -441,21 +441,3 @@ def test_on_a_phone(chromium, site):
         control.tap(position={"x": 8, "y": control.bounding_box()["height"] / 2})
         page.wait_for_function(SAYS, arg=[host.element_handle(), "N̄ = 1"])
         assert mistakes(host, "linear", {"window": 1}) == []
-
-
-def test_landing_page(chromium, site):
-    asked = []
-    with opened(
-        chromium,
-        f"{site}book/index.html",
-        ready=None,
-        doctor=lambda p: p.on("response", lambda response: asked.append(response)),
-    ) as page:
-        assert page.locator(".rhl-opening circle").count() == 41
-        running = "() => document.getAnimations().filter(one => one.animationName?.startsWith('rhl-')).length"
-        assert page.evaluate(running) > 0
-        assert sum(weights(asked).values()) < 1.5e6
-        assert [door.inner_text() for door in page.locator(".sd-card-title").all()] == ["Read", "Run", "Verify"]
-    with opened(chromium, f"{site}book/index.html", ready=None, reduced_motion="reduce") as page:
-        assert page.evaluate(running) == 0
-        assert page.locator(".rhl-opening .ours").is_visible()

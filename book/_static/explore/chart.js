@@ -160,23 +160,59 @@ const rhlExplore = (() => {
 
   /* ---- a chart: a title, two axes, and layers of curves */
 
+  const FAR = 1e5; // pixels: what is farther outside of the picture need not be drawn where it is
+
   class Chart {
-    constructor({ title, log = false, across, height = 170, frame = [] }) {
-      Object.assign(this, { title, log, across, height, frame, layers: [], mark: null });
+    /* `hold`: the vertical axis stays as it was first drawn until `refit` is called; `frame`: values it has to hold. */
+    constructor({ title, log = false, across, height = 170, frame = [], hold = false }) {
+      Object.assign(this, { title, log, across, height, frame, hold, layers: [], mark: null, band: null, held: null });
       this.legend = element("span", { class: "legend" });
-      this.figure = element("figure", {}, element("figcaption", {}, element("b", {}, title), " ", this.legend));
+      this.readout = element("span", { class: "legend readout", "aria-hidden": "true", hidden: "" });
+      this.figure = element("figure", {},
+        element("figcaption", {}, element("b", {}, title), " ", this.legend, this.readout));
       this.canvas = element("div", { class: "canvas" });
       this.figure.append(this.canvas);
+      this.canvas.addEventListener("pointermove", (event) => this.read(event));
+      this.canvas.addEventListener("pointerleave", () => this.read(null));
       new ResizeObserver(() => this.paint()).observe(this.canvas);
     }
 
-    /* layers: {x, y, kind: "steps" | "line" | "dots", colour: 1 ... 4, label}; mark: {x, text} is a vertical line. */
-    draw(layers, mark = null) {
-      Object.assign(this, { layers, mark });
+    /* layers: {x, y, kind: "steps" | "line" | "dots", colour: 1 ... 4, label}, and if wished `look`, one more class;
+       mark: {x, text} is a vertical line; band: {from, to} is shaded. */
+    draw(layers, mark = null, band = null) {
+      Object.assign(this, { layers, mark, band });
+      const seen = new Set();
       this.legend.replaceChildren(
-        ...layers.filter((layer) => layer.label).map((layer) =>
-          element("span", { class: `key ${layer.kind} c${layer.colour}` }, layer.label)));
+        ...layers.filter(({ label }) => label && !seen.has(label) && seen.add(label)).map((layer) =>
+          element("span", { class: `key ${layer.kind} c${layer.colour} ${layer.look ?? ""}` }, layer.label)));
       this.paint();
+    }
+
+    /* Give the vertical axis the values that it has to hold, once and for all. */
+    fix(values) {
+      this.held = axis(values, this.log);
+    }
+
+    refit() {
+      this.held = null;
+      this.paint();
+    }
+
+    /* The vertical axis. What is only there for comparison, the run before, does not decide it. */
+    scale() {
+      if (this.held) return this.held;
+      const values = this.layers.filter(({ look }) => look !== "ghost").flatMap((layer) => layer.y);
+      const up = axis(values.concat(this.frame), this.log);
+      if (this.hold) this.held = up;
+      return up;
+    }
+
+    /* Whether a curve leaves the axes. */
+    get beyond() {
+      if (!this.held) return false;
+      const { low, high } = this.held;
+      return this.layers.some(({ y, look }) =>
+        look !== "ghost" && y.some((v) => v !== null && (v > high * (1 + 1e-9) || (v < low && !(this.log && v < FLOOR)))));
     }
 
     paint() {
@@ -184,16 +220,19 @@ const rhlExplore = (() => {
       if (!width || !this.layers.length) return;
       const height = width < 260 ? this.height * 0.62 : this.height;
       const [left, right, top, bottom] = [46, width - 8, 8, height - 30];
-      const values = this.layers.flatMap((layer) => layer.y);
-      const up = axis(values.concat(this.frame), this.log);
+      const up = this.scale();
       const bent = bend[up.kind];
       const [low, high] = [bent(up.low), bent(up.high)];
       const { from, to, name } = this.across;
       const X = (v) => left + ((v - from) / (to - from)) * (right - left);
-      const Y = (v) => bottom - ((Math.min(Math.max(bent(v), low), high) - low) / (high - low)) * (bottom - top);
+      const Y = (v) => Math.min(Math.max(bottom - ((bent(v) - low) / (high - low)) * (bottom - top), -FAR), FAR);
 
       const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe() };
       const svg = shape("svg", view, element("div"));
+      if (this.band) {
+        const { from: first, to: last } = this.band;
+        shape("rect", { class: "band", x: X(first), y: top, width: X(last) - X(first), height: bottom - top }, svg);
+      }
       for (const tick of up.ticks) {
         shape("line", { class: "grid", x1: left, x2: right, y1: Y(tick), y2: Y(tick) }, svg);
         const text = up.kind === "log" ? power(tick) : short(tick);
@@ -204,13 +243,18 @@ const rhlExplore = (() => {
         shape("text", { class: "tick along", x: X(tick), y: bottom + 13, "data-value": tick }, svg, short(tick));
       }
       shape("text", { class: "name", x: right, y: height - 3 }, svg, name);
-      for (const layer of this.layers) this.curve(svg, layer, X, Y);
+      // A picture in the picture cuts off what leaves the axes; its coordinates are those around it.
+      const [x, y, w, h] = [left - 4, top - 4, right - left + 8, bottom - top + 8];
+      const inner = shape("svg", { class: "plot", x, y, width: w, height: h, viewBox: `${x} ${y} ${w} ${h}` }, svg);
+      for (const layer of this.layers) this.curve(inner, layer, X, Y);
       if (this.mark) {
         const at = X(this.mark.x);
         const end = at > (left + right) / 2;
         shape("line", { class: "mark", x1: at, x2: at, y1: top, y2: bottom }, svg);
         shape("text", { class: end ? "note end" : "note", x: at + (end ? -4 : 4), y: top + 11 }, svg, this.mark.text);
       }
+      this.hair = shape("line", { class: "hair", y1: top, y2: bottom, visibility: "hidden" }, svg);
+      this.spot = { X, left, right };
       this.canvas.replaceChildren(svg);
       /* Which point of the chart a pointer is at, kept inside of the axes. */
       this.where = ({ clientX, clientY }) => {
@@ -222,11 +266,38 @@ const rhlExplore = (() => {
       };
     }
 
-    curve(svg, { x, y, kind, colour }, X, Y) {
+    /* Show the values under the pointer in place of the legend. */
+    read(event) {
+      if (!this.hair) return;
+      const layers = this.layers.filter(({ label }) => label);
+      const along = event && this.spot ? this.along(event) : null;
+      this.legend.hidden = along !== null;
+      this.readout.hidden = along === null;
+      this.hair.setAttribute("visibility", along === null ? "hidden" : "visible");
+      if (along === null) return;
+      for (const end of ["x1", "x2"]) this.hair.setAttribute(end, this.spot.X(along));
+      const values = layers.map(({ x, y, label }) => [label, y[x.indexOf(along)]])
+        .filter(([, value]) => value !== undefined && value !== null)
+        .map(([label, value]) => `${label}: ${short(value)}`);
+      this.readout.textContent = [`${this.across.name.replace("step ", "")} = ${short(along)}`, ...values].join("   ");
+    }
+
+    /* The place on the horizontal axis, of those where there is a value, that is next to the pointer. */
+    along(event) {
+      const { X } = this.spot;
+      const at = event.clientX - this.canvas.getBoundingClientRect().left;
+      const places = this.layers.filter(({ label }) => label).flatMap(({ x, y }) => x.filter((_, i) => (y[i] ?? null) !== null));
+      if (!places.length) return null;
+      return places.reduce((best, place) => (Math.abs(X(place) - at) < Math.abs(X(best) - at) ? place : best));
+    }
+
+    curve(svg, { x, y, kind, colour, look = "", size = 2.6 }, X, Y) {
       const seen = x.map((at, i) => [at, y[i]]).filter(([, value]) => value !== null && value !== undefined);
       if (kind === "dots") {
-        const group = shape("g", { class: `dots c${colour}` }, svg);
-        for (const [at, value] of seen) shape("circle", { cx: X(at).toFixed(2), cy: Y(value).toFixed(2), r: 2.6 }, group);
+        const group = shape("g", { class: `dots c${colour} ${look}` }, svg);
+        for (const [at, value] of seen) {
+          shape("circle", { cx: X(at).toFixed(2), cy: Y(value).toFixed(2), r: size }, group);
+        }
         return;
       }
       let path = "";
@@ -237,27 +308,27 @@ const rhlExplore = (() => {
         path += gap ? `M${a} ${b}` : kind === "steps" ? `H${a}V${b}` : `L${a} ${b}`;
         gap = false;
       });
-      shape("path", { class: `curve c${colour}`, d: path }, svg);
+      shape("path", { class: look === "ghost" ? "ghost" : `curve c${colour} ${look}`.trim(), d: path }, svg);
     }
 
     describe() {
-      const parts = this.layers.filter((layer) => layer.kind !== "dots").map(({ y, label }) => {
-        const known = y.filter((value) => value !== null);
-        return `${label ?? ""} from ${short(Math.min(...known))} to ${short(Math.max(...known))}`;
+      const parts = this.layers.filter(({ kind, look }) => kind !== "dots" && !look).map(({ y, label }) => {
+        const known = y.filter((value) => value !== null && value !== undefined);
+        return known.length ? `${label ?? ""} from ${short(Math.min(...known))} to ${short(Math.max(...known))}` : "";
       });
-      return `${this.title} over ${this.across.name}: ${parts.join(", ")}`;
+      return `${this.title} over ${this.across.name}: ${parts.filter(Boolean).join(", ")}`;
     }
   }
 
   /* Put the explorer where the static picture is, once it can be used; until then, and if it cannot, the picture stays. */
-  function install(name, build) {
+  function install(name, build, file = name) {
     const host = document.querySelector(`[data-explore="${name}"]`);
     if (!host) return;
-    load(name)
+    load(file)
       .then((data) => {
         build(host, data);
         host.hidden = false;
-        document.querySelector(`.tag_explore-${name}`)?.classList.add("explored");
+        document.querySelector(`.tag_explore-${name}, .still-${name}`)?.classList.add("explored");
         host.dispatchEvent(new Event("ready"));
       })
       .catch((error) => {
