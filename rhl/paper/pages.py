@@ -90,14 +90,29 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
     """Return comparisons with published data as a table for a page, one row each."""
     return table(
         {
-            "signal": row.signal,
+            "signal": readable(row.signal.replace("y_hat", "y^")),
             "samples": row.samples,
-            "largest |difference|": f"{row.largest:.2g}",
+            "largest |difference|": number(row.largest),
             "at k": row.at,
-            "tolerance": "none" if row.tolerance is None else f"{row.tolerance:g}",
+            "tolerance": "none" if row.tolerance is None else number(row.tolerance),
             "verdict": row.verdict,
         }
         for row in rows
+    )
+
+
+def judgement_table(judgements: Iterable[Judgement]) -> Styler:
+    """Return judgements as a table for a page, one row each: what came out, and what the check is seen to reject."""
+    return table(
+        {
+            "claim": judgement.claim.id,
+            "status": judgement.status,
+            "cases": judgement.evidence.cases if judgement.evidence else "",
+            "largest violation": number(judgement.evidence.worst) if judgement.evidence else "",
+            "tolerance": number(judgement.evidence.tolerance) if judgement.evidence else "",
+            "the check rejects": readable(judgement.claim.control.what) if judgement.claim.control else "",
+        }
+        for judgement in judgements
     )
 
 
@@ -192,7 +207,8 @@ def findings_table(claims: Iterable[Claim]) -> str:
 
 def number(value: float) -> str:
     """Return a number with two digits for a page: 2·10⁻¹² and not 2e-12."""
-    digits, _, exponent = f"{value:.2g}".partition("e")
+    # The zero that is added makes a plain zero of a negative one.
+    digits, _, exponent = f"{value + 0.0:.2g}".partition("e")
     if not exponent:
         return digits.replace("-", "−")
     power = "10" + str(int(exponent)).translate(_RAISED)
