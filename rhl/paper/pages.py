@@ -57,13 +57,16 @@ def scientific(value: float, digits: int = 2) -> str:
     --------
     >>> scientific(5.83e-13)
     '5.8·10⁻¹³'
+    >>> scientific(1e-6, 1)
+    '10⁻⁶'
     >>> scientific(0.0)
     '0'
     """
     if value == 0:
         return "0"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+    power = f"10{str(int(exponent)).translate(_RAISED)}"
+    return (power if mantissa == "1" and int(exponent) else f"{mantissa}·{power}").replace("-", "−")
 
 
 def grouped(digits: str, by: int = 5) -> str:
@@ -211,6 +214,8 @@ def number(value: float) -> str:
     digits, _, exponent = f"{value + 0.0:.2g}".partition("e")
     if not exponent:
         return digits.replace("-", "−")
+    if 0 < int(exponent) < 4 and digits != "1":
+        return str(int(float(digits) * 10 ** int(exponent))).replace("-", "−")
     power = "10" + str(int(exponent)).translate(_RAISED)
     return power if digits == "1" else f"{digits}·{power}".replace("-", "−")
 
