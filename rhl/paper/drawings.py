@@ -160,7 +160,7 @@ def projections(normals: Array, levels: Array, centres: Array, minimisers: Array
         xlabel="first entry",
         ylabel="second entry",
     )
-    ax.legend(loc="lower left")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
     return figure
 
 
