@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,6 +79,27 @@ def grouped(digits: str, by: int = 5) -> str:
     """
     whole, point, places = digits.replace("-", "−").partition(".")
     return whole + point + " ".join(places[i : i + by] for i in range(0, len(places), by))
+
+
+def polynomial_lines(coefficients: Sequence[int], symbol: str, each: int = 2) -> str:
+    r"""Return a polynomial as LaTeX with so many terms a line; the coefficients begin with the highest power.
+
+    Examples
+    --------
+    >>> print(polynomial_lines([2, 0, -5, 3], "x"))
+    \begin{aligned}
+    &2x^{3} -5x^{1} \\
+    &+3
+    \end{aligned}
+    """
+    last = len(coefficients) - 1
+    terms = [
+        (f"{value:+d}" if i else f"{value}") + (f"{symbol}^{{{last - i}}}" if i < last else "")
+        for i, value in enumerate(coefficients)
+        if value
+    ]
+    lines = [" ".join(terms[i : i + each]) for i in range(0, len(terms), each)]
+    return "\\begin{aligned}\n" + " \\\\\n".join(f"&{line}" for line in lines) + "\n\\end{aligned}"
 
 
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
