@@ -114,7 +114,7 @@ def held(ax: Axes, values: Array, label: str, **settings: Any) -> None:
 
 
 def differences(ax: Axes, gaps: Mapping[str, Array], tolerance: float | None = None) -> None:
-    """Draw absolute differences on a logarithmic axis; exact agreement is drawn at 1e-17."""
+    """Draw absolute differences on a logarithmic axis; exact agreement is drawn at 10^-17."""
     for (label, gap), marker in zip(gaps.items(), "osv^", strict=False):
         ax.semilogy(np.arange(len(gap)), np.maximum(np.abs(gap), 1e-17), marker, label=label, ms=3.5)
     if tolerance is not None:

@@ -68,6 +68,7 @@ PAPER = [
     "paper.certified",
     "paper.certified_samples",
     "paper.figures",
+    "paper.drawings",
     "paper.claims",
     "paper.claims.claim",
     *(

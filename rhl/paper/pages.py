@@ -6,7 +6,7 @@ import html
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rhl.errors import InputError
@@ -14,6 +14,8 @@ from rhl.paper.published import Comparison
 
 if TYPE_CHECKING:
     from pandas.io.formats.style import Styler
+
+    from rhl.paper.claims.claim import Judgement
 
 
 def tell(**values: float | int | str) -> None:
@@ -51,13 +53,16 @@ def scientific(value: float, digits: int = 2) -> str:
     --------
     >>> scientific(5.83e-13)
     '5.8·10⁻¹³'
+    >>> scientific(1e-6, 1)
+    '10⁻⁶'
     >>> scientific(0.0)
     '0'
     """
     if value == 0:
         return "0"
     mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+    power = f"10{str(int(exponent)).translate(_RAISED)}"
+    return (power if mantissa == "1" and int(exponent) else f"{mantissa}·{power}").replace("-", "−")
 
 
 def grouped(digits: str, by: int = 5) -> str:
@@ -72,6 +77,27 @@ def grouped(digits: str, by: int = 5) -> str:
     return whole + point + " ".join(places[i : i + by] for i in range(0, len(places), by))
 
 
+def polynomial_lines(coefficients: Sequence[int], symbol: str, each: int = 2) -> str:
+    r"""Return a polynomial as LaTeX with so many terms a line; the coefficients begin with the highest power.
+
+    Examples
+    --------
+    >>> print(polynomial_lines([2, 0, -5, 3], "x"))
+    \begin{aligned}
+    &2x^{3} -5x^{1} \\
+    &+3
+    \end{aligned}
+    """
+    last = len(coefficients) - 1
+    terms = [
+        (f"{value:+d}" if i else f"{value}") + (f"{symbol}^{{{last - i}}}" if i < last else "")
+        for i, value in enumerate(coefficients)
+        if value
+    ]
+    lines = [" ".join(terms[i : i + each]) for i in range(0, len(terms), each)]
+    return "\\begin{aligned}\n" + " \\\\\n".join(f"&{line}" for line in lines) + "\n\\end{aligned}"
+
+
 def table(rows: Iterable[Mapping[str, object]]) -> Styler:
     """Return rows of named entries as a table for a page."""
     import pandas as pd
@@ -84,22 +110,40 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
     """Return comparisons with published data as a table for a page, one row each."""
     return table(
         {
-            "signal": row.signal,
+            "signal": readable(row.signal.replace("y_hat", "y^")),
             "samples": row.samples,
-            "largest |difference|": f"{row.largest:.2g}",
+            "largest |difference|": number(row.largest),
             "at k": row.at,
-            "tolerance": "none" if row.tolerance is None else f"{row.tolerance:g}",
+            "tolerance": "none" if row.tolerance is None else number(row.tolerance),
             "verdict": row.verdict,
         }
         for row in rows
     )
 
 
+def judgement_table(judgements: Iterable[Judgement]) -> Styler:
+    """Return judgements as a table for a page, one row each: what came out, and what the check is seen to reject."""
+    return table(
+        {
+            "claim": judgement.claim.id,
+            "status": judgement.status,
+            "cases": judgement.evidence.cases if judgement.evidence else "",
+            "largest violation": number(judgement.evidence.worst) if judgement.evidence else "",
+            "tolerance": number(judgement.evidence.tolerance) if judgement.evidence else "",
+            "the check rejects": readable(judgement.claim.control.what) if judgement.claim.control else "",
+        }
+        for judgement in judgements
+    )
+
+
 def number(value: float) -> str:
     """Return a number with two digits for a page: 2·10⁻¹² and not 2e-12."""
-    digits, _, exponent = f"{value:.2g}".partition("e")
+    # The zero that is added makes a plain zero of a negative one.
+    digits, _, exponent = f"{value + 0.0:.2g}".partition("e")
     if not exponent:
         return digits.replace("-", "−")
+    if 0 < int(exponent) < 4 and digits != "1":
+        return str(int(float(digits) * 10 ** int(exponent))).replace("-", "−")
     power = "10" + str(int(exponent)).translate(_RAISED)
     return power if digits == "1" else f"{digits}·{power}".replace("-", "−")
 

@@ -14,6 +14,7 @@ from rhl.paper.listing import badge, by_page, cards, findings_table, overview, s
 from rhl.paper.pages import (
     comparison_table,
     grouped,
+    judgement_table,
     number,
     readable,
     scientific,
@@ -84,8 +85,18 @@ def test_long_numbers_may_break():
 def test_tables():
     page = comparison_table([Comparison("y", 14, 2e-12, 10, 1e-9), Comparison("v", 3, 0.07, 13, None)]).to_html()
     assert 'class="dataframe"' in page
-    assert all(entry in page for entry in ("2e-12", "1e-09", "within", "unexplained", "none"))
+    assert all(entry in page for entry in ("2·10⁻¹²", "10⁻⁹", "within", "unexplained", "none"))
     assert ">1<" in table(row for row in [{"n": 1}]).to_html()
+
+
+def test_judgements_stand_in_words_and_plain_numbers():
+    """The status is that of the judgement: another verdict is another status."""
+    claim = next(claim for claim in CLAIMS if claim.id == "lemma-1.a")
+    for verdict, status in (("holds", "proved here"), ("refuted", "fails: counterexample")):
+        found = Judgement(claim, verdict, Evidence(7, -0.0, 2e-12, "rounding"), True, None, "", 0.1)
+        page = judgement_table([found]).to_html()
+        assert all(f">{entry}<" in page for entry in ("lemma-1.a", status, "7", "0", "2·10⁻¹²"))
+        assert claim.control.what in page
 
 
 @pytest.mark.parametrize(
@@ -95,9 +106,12 @@ def test_tables():
         (1e-9, "10⁻⁹"),
         (1e5, "10⁵"),
         (-1.2e-7, "−1.2·10⁻⁷"),
+        (150.4, "150"),
+        (-9340.0, "−9300"),
         (0.79, "0.79"),
         (-0.25, "−0.25"),
         (0.0, "0"),
+        (-0.0, "0"),
     ],
 )
 def test_numbers_are_written_as_on_paper(value, words):
