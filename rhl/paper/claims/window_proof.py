@@ -107,9 +107,9 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=48, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=48, printed=True)),
         corrected=partial(check_window, equation=48),
-        reason="In (48) the sum starts from x(k-N+1), N being the window. By (47) the next transition has the error e_2, "
-        "so the sum has the errors e_{l+2}, not e_{l+1}. If the sum starts from x(k-N), the printed index is right, and "
-        "(8) follows for N steps instead of N-1.",
+        reason="In (48) the sum starts from x(k-N+1), N being the window. By (47) the next transition has the error "
+        "e_2, so the sum has the errors e_{l+2}, not e_{l+1}. If the sum starts from x(k-N), the printed index is "
+        "right, and (8) follows for N steps instead of N-1.",
         uses=("eq-47",),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
