@@ -130,7 +130,9 @@ def judgement_table(judgements: Iterable[Judgement]) -> Styler:
             "cases": judgement.evidence.cases if judgement.evidence else "",
             "largest violation": number(judgement.evidence.worst) if judgement.evidence else "",
             "tolerance": number(judgement.evidence.tolerance) if judgement.evidence else "",
-            "the check rejects": readable(judgement.claim.control.what) if judgement.claim.control else "",
+            "the check rejects": readable(
+                judgement.claim.control.what if judgement.claim.control else f"no check: {judgement.claim.reason}"
+            ),
         }
         for judgement in judgements
     )

@@ -77,11 +77,7 @@ def check_window(effort: Effort, equation: int, printed: bool = False) -> Eviden
     return Evidence(len(found), worst_of(found), ROUNDING, WHY)
 
 
-_INDEX = (
-    "In (48) the sum starts from x(k-N+1), N being the window; the first transition after it has by (47) the error "
-    "e_2, so the sum's errors are e_{l+2}, not e_{l+1}, as also in (49) and in e_j of (50), (51). Or start from "
-    "x(k-N): that leaves the errors as printed and gives (8) for N steps instead of N-1."
-)
+_AS_IN_48 = "The errors have the same wrong index as in (48)."
 
 CLAIMS: tuple[Claim, ...] = (
     claim(
@@ -111,7 +107,9 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=48, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=48, printed=True)),
         corrected=partial(check_window, equation=48),
-        reason=_INDEX,
+        reason="In (48) the sum starts from x(k-N+1), N being the window. By (47) the next transition has the error "
+        "e_2, so the sum has the errors e_{l+2}, not e_{l+1}. If the sum starts from x(k-N), the printed index is "
+        "right, and (8) follows for N steps instead of N-1.",
         uses=("eq-47",),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
@@ -125,7 +123,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=49, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=49, printed=True)),
         corrected=partial(check_window, equation=49),
-        reason=_INDEX,
+        reason=_AS_IN_48,
         uses=("eq-48",),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
@@ -139,7 +137,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=50, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=50, printed=True)),
         corrected=partial(check_window, equation=50),
-        reason=_INDEX,
+        reason=_AS_IN_48,
         uses=("eq-49",),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
@@ -153,7 +151,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=51, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=51, printed=True)),
         corrected=partial(check_window, equation=51),
-        reason=_INDEX,
+        reason=_AS_IN_48,
         uses=("eq-18", "eq-50"),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
