@@ -8,23 +8,23 @@ from typing import Any
 from sphinx.application import Sphinx
 
 from rhl import plotting
-from rhl.paper import sweeps, watch
+from rhl.paper import explored, sweeps, watch
 
 # Which page asks for which scripts of book/_static/explore; other pages load none of them.
 SCRIPTS = {
     "book/index": ("opening.js", "chart.js", "watch.js"),
-    "book/explore": ("chart.js", "runs.js", "lemmas.js"),
+    "book/explore": ("chart.js", "runs.js", "beside.js", "lemmas.js"),
     "book/chain": ("chain.js",),
     "book/ledger": ("ledger.js",),
 }
 
 
 def compute(folder: Path) -> None:
-    """Fill the folder with the files of `rhl.paper.sweeps` and of `rhl.paper.watch`; it appears whole or not at all."""
+    """Fill the folder with the files of `rhl.paper.sweeps`, `watch` and `explored`; it appears whole or not at all."""
     begun = folder.with_name(f"{folder.name}.begun")
     shutil.rmtree(begun, ignore_errors=True)
     begun.mkdir(parents=True)
-    for name, content in chain(sweeps.files(), watch.files()):
+    for name, content in chain(sweeps.files(), watch.files(), explored.files()):
         # Scripts and not bare JSON: a book opened from a folder may load scripts, but a browser lets it fetch nothing.
         (begun / f"{name}.js").write_text(f'rhlExplore.take("{name}",{content})\n', encoding="utf-8")
     begun.rename(folder)

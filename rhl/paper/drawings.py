@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from rhl._checks import Array, integer
 from rhl.errors import InputError
 from rhl.horizon import Plan
-from rhl.plotting import held, panels
+from rhl.plotting import WIDTH, held, panels
 from rhl.trace import Trace
 
 
@@ -61,7 +61,7 @@ def arm_positions(angles: Array, every: int = 3) -> Figure:
     >>> len(arm_positions(np.linspace(5.0, 0.0, 7)).axes[0].lines)
     4
     """
-    figure = Figure(figsize=(5.2, 4.6))
+    figure = Figure(figsize=(WIDTH, 4.2))
     ax = figure.subplots()
     tip = np.stack([np.sin(angles), -np.cos(angles)], axis=-1)
     shown = range(0, len(angles), every)
@@ -70,7 +70,7 @@ def arm_positions(angles: Array, every: int = 3) -> Figure:
     ax.plot(*tip.T, ".-", color="C1", lw=0.8, ms=3, label="tip at every step")
     marked = dict.fromkeys((0, *range(20, len(angles) - 1, 4), len(angles) - 1))
     for k in (k for k in marked if k < 36 or k == len(angles) - 1):
-        ax.annotate(f"$k={k}$", 1.16 * tip[k], ha="center", va="center", fontsize=8)
+        ax.annotate(f"$k={k}$", 1.16 * tip[k], ha="center", va="center")
     ax.set(aspect="equal", xlim=(-1.45, 1.45), ylim=(-1.35, 1.35), xlabel="horizontal", ylabel="vertical")
     ax.legend(loc="upper right")
     return figure
@@ -134,7 +134,7 @@ def projections(normals: Array, levels: Array, centres: Array, minimisers: Array
     >>> [text.get_text() for text in ax.get_legend().get_texts()][-1]
     'common point of all sets'
     """
-    figure = Figure(figsize=(5.2, 5.0))
+    figure = Figure(figsize=(WIDTH, 4.6))
     ax = figure.subplots()
     reach = 1.25 * float(np.max(np.linalg.norm(centres - common, axis=1)))
     for k, (a, b) in enumerate(zip(normals, levels, strict=True)):
@@ -145,13 +145,13 @@ def projections(normals: Array, levels: Array, centres: Array, minimisers: Array
         ax.plot(*np.stack([centres[k], foot]).T, ":", color=f"C{k % 4}", lw=1.2)
         ax.plot(*foot, "o", mfc="none", color=f"C{k % 4}", ms=6, label="projection onto the set" if k == 0 else None)
         ax.annotate("", minimisers[k], centres[k], arrowprops={"arrowstyle": "->", "color": f"C{k % 4}", "lw": 1.6})
-        ax.annotate(f"$X_{k}$", common + 0.93 * reach * along * np.sign(along[1]), fontsize=9, ha="left")
+        ax.annotate(f"$X_{k}$", common + 0.93 * reach * along * np.sign(along[1]), ha="left")
     turn = np.linspace(0, 2 * np.pi, 200)
     radius = np.linalg.norm(centres[0] - common)
     ax.plot(common[0] + radius * np.cos(turn), common[1] + radius * np.sin(turn), "--", color="C7", lw=0.8)
     ax.plot(*centres.T, "o", color=mpl.rcParams["text.color"], ms=5, label=r"iterates $\tilde x_k$")
     for k, centre in enumerate(centres):
-        ax.annotate(str(k), centre, (5, 5), textcoords="offset points", fontsize=8)
+        ax.annotate(str(k), centre, (5, 5), textcoords="offset points")
     ax.plot(*common, "*", color="C2", ms=13, label="common point of all sets")
     ax.set(
         aspect="equal",

@@ -14,6 +14,7 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.controllability import ConstantMixing, candidates, controllability_margin
+from rhl.disturbances import GaussianNoise, Saturation
 from rhl.errors import DivergedError, InputError
 from rhl.model import SignalModel
 from rhl.paper.claims.lemma_5 import crossing_pairs, degree_bound, polynomial
@@ -22,7 +23,8 @@ from rhl.paper.published import Experiment, curve, linear_example, robot_arm
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
 
-Name = Literal["linear", "robot"]
+Name = Literal["linear", "robot", "printed"]
+NAMES: tuple[Name, ...] = ("linear", "robot", "printed")
 
 _DIGITS = 6
 """Significant digits of the numbers that are written: more than a pixel shows, fewer than a run has."""
@@ -33,7 +35,7 @@ class Setting:
     """Something that a slider changes: ``change`` maps (experiment, value) to the experiment with that value.
 
     ``key`` is its name in the data, ``words`` say what it is, ``symbol`` is its sign in the paper. ``values`` are where
-    the slider can stop, in order; ``own``, the experiment's own value, is one of them.
+    the slider can stop, in order; ``own``, the experiment's own value, is one of them, and ``note`` says what it is.
     """
 
     key: str
@@ -42,6 +44,7 @@ class Setting:
     values: tuple[float, ...]
     own: float
     change: Callable[[Experiment, float], Experiment]
+    note: str = "as published"
 
     def __post_init__(self) -> None:
         if self.own not in self.values:
@@ -54,7 +57,7 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
     Examples
     --------
     >>> [[setting.key for setting in group] for group in settings("linear")]
-    [['horizon', 'R', 'rate'], ['window'], ['mixing'], ['z'], ['radius']]
+    [['horizon', 'R', 'rate'], ['noise', 'bound'], ['window'], ['mixing'], ['z'], ['radius']]
     """
     if name == "linear":
         return (
@@ -63,7 +66,9 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
                 _input_weight(range(2, 9), 1e4),
                 _rate(range(5), 100),
             ),
-            (_window(range(1, 17), 8),),
+            (_noise((0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)), _bound((0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40, 80))),
+            # With as many transitions as there are steps nothing is forgotten.
+            (_window((*range(1, 17), 20, 24, 30, 42), 8),),
             (_mixing(0.0),),
             (_initial(2, "initial state", "z₃(0)", range(-20, 21, 2), -10),),
             (Setting("radius", "spectral radius", "ρ(F)", _steps(0.92, 1.52, 0.02), 1.02, _with_radius),),
@@ -77,11 +82,20 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
             (_mixing(0.5),),
             (_initial(0, "initial angle (rad)", "x₁(0)", range(9), 5),),
         )
-    raise InputError(f"name must be one of linear, robot, got {name!r}")
+    if name == "printed":
+        return (_mixing(0.0, "as printed"),), (_horizon((*range(1, 16), 20, 30, 40), 15),)
+    raise InputError(f"name must be one of {', '.join(NAMES)}, got {name!r}")
 
 
 def experiment(name: Name) -> Experiment:
-    """Return the experiment that the settings of this name change."""
+    """Return the experiment that the settings of this name change.
+
+    "linear" and "robot" are those behind the published curves; "printed" is the robot arm as the text prints it, with
+    its other coefficient and without mixing.
+    """
+    if name == "printed":
+        arm = robot_arm(printed=True)
+        return replace(arm, scheme=replace(arm.scheme, mixing=ConstantMixing(0.0)))
     return linear_example() if name == "linear" else robot_arm()
 
 
@@ -96,7 +110,7 @@ def signals(name: Name) -> tuple[dict[str, Any], ...]:
         return (
             _panel("output y", {"y1": "y"}, {"y1": curve("linear_y")}),
             _panel("input v", {"v1": "v"}, {"v1": curve("linear_u")}),
-            last[0] | {"published": {"weight": _plain(curve("linear_gamma_over_eps"))}},
+            last[0] | {"published": {"weight": plain(curve("linear_gamma_over_eps"))}},
             last[1],
         )
     return (
@@ -131,7 +145,7 @@ def record(changed: Experiment) -> dict[str, Any]:
     columns = trace.columns()
     curves = {key: columns[key] for key in columns if key[:-1] in ("y", "v") or key == "weight"}
     curves |= {"margin_lifted": trace.margin_lifted, "margin_augmented": trace.margin_augmented}
-    return {key: _plain(values) for key, values in curves.items()} | {"diverged": diverged}
+    return {key: plain(values) for key, values in curves.items()} | {"diverged": diverged}
 
 
 def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
@@ -165,8 +179,8 @@ def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
         "k": k.tolist(),
         "exponents": exponents,
         "own": exponents.index(0.75),
-        "norm": [_plain(norm[k]) for norm, _ in paths],
-        "angle": [_plain(angle[k]) for _, angle in paths],
+        "norm": [plain(norm[k]) for norm, _ in paths],
+        "angle": [plain(angle[k]) for _, angle in paths],
     }
 
 
@@ -195,10 +209,10 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
         lam = np.unique([*np.linspace(0, 1, 251), *bad, *(share for share in beside if 0 <= share <= 1)])
         unseen, seen = (SignalModel(np.array(A, dtype=float), np.array(B, dtype=float)) for A, B in pairs)
         columns["lam"].append([float(f"{share:.12g}") for share in lam])
-        columns["margin"].append(_plain(controllability_margin(unseen.mix(seen, lam))))
+        columns["margin"].append(plain(controllability_margin(unseen.mix(seen, lam))))
         columns["bad"].append(np.searchsorted(lam, bad).tolist())
-        columns["candidates"].append(_plain(candidates(n, 0.9)))
-        columns["found"].append(_plain(controllability_margin(unseen.mix(seen, candidates(n, 0.9)))))
+        columns["candidates"].append(plain(candidates(n, 0.9)))
+        columns["found"].append(plain(controllability_margin(unseen.mix(seen, candidates(n, 0.9)))))
     return {"orders": orders, "enough": [degree_bound(n) for n in orders], **columns}
 
 
@@ -207,21 +221,36 @@ def files() -> Iterator[tuple[str, str]]:
 
     A sweep of several settings is cut along the first of them, so that a page fetches what it shows and no more.
     """
-    for name in ("linear", "robot"):
+    for name in NAMES:
         example, groups = experiment(name), settings(name)
-        described = [[_described(setting) for setting in group] for group in groups]
-        yield (
-            name,
-            _json({"steps": example.steps, "groups": described, "panels": signals(name), "own": record(example)}),
-        )
+        about: dict[str, Any] = {
+            "steps": example.steps,
+            "groups": [[_described(setting) for setting in group] for group in groups],
+            "panels": signals(name),
+            "own": record(example),
+        }
         for i, group in enumerate(groups):
             runs = list(sweep(name, group))
+            if len(group) > 2:
+                about["peaks"] = peaks(runs)
             parts = len(group[0].values) if len(group) > 1 else 1
             share = len(runs) // parts
             for part in range(parts):
-                yield f"{name}-{i}-{part}", _json({"runs": runs[part * share : (part + 1) * share]})
-    yield "spiral", _json(spiral())
-    yield "mixtures", _json(mixtures())
+                yield f"{name}-{i}-{part}", to_json({"runs": runs[part * share : (part + 1) * share]})
+        yield name, to_json(about)
+    yield "spiral", to_json(spiral())
+    yield "mixtures", to_json(mixtures())
+
+
+def peaks(runs: Iterable[Mapping[str, Any]]) -> list[float | None]:
+    """Return the largest size of the first output of each run; None where the run diverged.
+
+    Examples
+    --------
+    >>> peaks([{"y1": [1.0, -2.5], "diverged": None}, {"y1": [1.0], "diverged": 1}])
+    [2.5, None]
+    """
+    return [max(map(abs, run["y1"])) if run["diverged"] is None else None for run in runs]
 
 
 def _described(setting: Setting) -> dict[str, Any]:
@@ -231,22 +260,24 @@ def _described(setting: Setting) -> dict[str, Any]:
         "symbol": setting.symbol,
         "values": list(setting.values),
         "own": setting.values.index(setting.own),
+        "note": setting.note,
     }
 
 
 def _panel(
     title: str, curves: Mapping[str, str], published: Mapping[str, Array] | None = None, log: bool = False
 ) -> dict[str, Any]:
-    circles = {key: _plain(values) for key, values in (published or {}).items()}
+    circles = {key: plain(values) for key, values in (published or {}).items()}
     return {"title": title, "curves": dict(curves), "published": circles, "log": log}
 
 
-def _plain(values: Array) -> list[float | None]:
+def plain(values: Array) -> list[float | None]:
     """Return numbers as JSON has them: rounded, and None for what is not finite."""
     return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
-def _json(data: Mapping[str, Any]) -> str:
+def to_json(data: Mapping[str, Any]) -> str:
+    """Return data as JSON without spaces."""
     return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
@@ -280,11 +311,36 @@ def _window(values: Iterable[int], own: int) -> Setting:
     return Setting("window", "estimator's window", "N̄", tuple(values), own, change)
 
 
-def _mixing(own: float) -> Setting:
+def _noise(values: Iterable[float]) -> Setting:
+    return Setting(
+        "noise",
+        "standard deviation of the sensor's errors",
+        "σ",
+        tuple(values),
+        0.0,
+        lambda e, value: replace(e, sensor=GaussianNoise(value, 0)),
+        "none",
+    )
+
+
+def _bound(values: Iterable[float]) -> Setting:
+    values = tuple(values)
+    return Setting(
+        "bound",
+        "largest input of the actuator",
+        "v̄",
+        values,
+        values[-1],
+        lambda e, value: replace(e, actuator=Saturation(-value, value)),
+        "never reached in the published run",
+    )
+
+
+def _mixing(own: float, note: str = "as published") -> Setting:
     def change(e: Experiment, value: float) -> Experiment:
         return replace(e, scheme=replace(e.scheme, mixing=ConstantMixing(value)))
 
-    return Setting("mixing", "mixing", "λ", _steps(0.0, 0.95, 0.05), own, change)
+    return Setting("mixing", "mixing", "λ", _steps(0.0, 0.95, 0.05), own, change, note)
 
 
 def _initial(entry: int, words: str, symbol: str, values: Iterable[int], own: float) -> Setting:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,6 +11,7 @@ import numpy as np
 from rhl._checks import Array, choice
 from rhl.memory import GrowingMemory
 from rhl.paper.published import Experiment, linear_example, robot_arm
+from rhl.paper.sweeps import plain, to_json
 from rhl.plants.benchmarks import benchmark
 from rhl.scheme import Scheme, default_scheme
 from rhl.simulation import simulate
@@ -23,7 +22,6 @@ Name = Literal["ball", "linear", "arm"]
 NAMES: tuple[Name, ...] = ("ball", "linear", "arm")
 
 _BALL_STEPS = 41
-_DIGITS = 6
 _INDEX = str.maketrans("-0123456789", "₋₀₁₂₃₄₅₆₇₈₉")
 
 
@@ -117,15 +115,15 @@ def steps(name: Name) -> dict[str, Any]:
         "start": what.start,
         "lag": scheme.controller.model_delay,
         "horizon": scheme.controller.horizon,
-        "y": [_plain(row) for row in trace.y.T],
-        "predicted": [_plain(row) for row in trace.y_hat.T],
-        "v": [_plain(row) for row in trace.v.T],
-        "weight": _plain(trace.weight),
+        "y": [plain(row) for row in trace.y.T],
+        "predicted": [plain(row) for row in trace.y_hat.T],
+        "v": [plain(row) for row in trace.v.T],
+        "weight": plain(trace.weight),
         "fitted": [fitted(scheme, k) for k in range(len(trace))],
-        "of_outputs": [{"name": name, "values": _plain(values)} for name, values in of_outputs.items()],
-        "of_inputs": [{"name": name, "values": _plain(values)} for name, values in of_inputs.items()],
-        "planned_y": [[_plain(row) for row in plan.x[:, :p].T] for plan in plans],
-        "planned_v": [[_plain(row) for row in plan.u.T] for plan in plans],
+        "of_outputs": [{"name": name, "values": plain(values)} for name, values in of_outputs.items()],
+        "of_inputs": [{"name": name, "values": plain(values)} for name, values in of_inputs.items()],
+        "planned_y": [[plain(row) for row in plan.x[:, :p].T] for plan in plans],
+        "planned_v": [[plain(row) for row in plan.u.T] for plan in plans],
     }
 
 
@@ -184,8 +182,4 @@ def contrast() -> dict[str, Array]:
 def files() -> Iterator[tuple[str, str]]:
     """Yield the name, without its ending, and the JSON of the file of each watched run."""
     for name in NAMES:
-        yield f"watch-{name}", json.dumps(steps(name), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-
-
-def _plain(values: Array) -> list[float | None]:
-    return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]
+        yield f"watch-{name}", to_json(steps(name))

@@ -57,7 +57,7 @@ def apart(found, expected):
     return max((abs(a - b) / max(abs(a), abs(b)) for a, b in pairs if a != b), default=0.0)
 
 
-@pytest.mark.parametrize("name", ["linear", "robot"])
+@pytest.mark.parametrize("name", sweeps.NAMES)
 def test_a_record_is_the_run(name):
     trace, record = sweeps.experiment(name).run(), sweeps.record(sweeps.experiment(name))
     assert apart(record["y1"], trace.y[:, 0].tolist()) < WRITTEN
@@ -77,7 +77,7 @@ def test_a_run_that_diverges_says_where():
     assert sweeps.record(replace(arm, z0=np.full(3, 1e300)))["diverged"] == 0
 
 
-@pytest.mark.parametrize("name", ["linear", "robot"])
+@pytest.mark.parametrize("name", sweeps.NAMES)
 def test_every_setting_changes_the_run_but_for_its_own_value(name):
     example = sweeps.experiment(name)
     own = sweeps.record(example)
@@ -105,7 +105,7 @@ def test_published_curves_are_the_paper_s():
 
 
 def test_errors():
-    with pytest.raises(InputError, match="name must be one of linear, robot, got 'other'"):
+    with pytest.raises(InputError, match="name must be one of linear, robot, printed, got 'other'"):
         sweeps.settings("other")
     with pytest.raises(InputError, match="values of a must hold the experiment's own, 3"):
         sweeps.Setting("a", "words", "a", (1.0, 2.0), 3.0, lambda e, value: e)
@@ -136,7 +136,7 @@ def opened(chromium, url, ready="[data-explore=mixtures] svg", doctor=None, **co
         doctor(page)
     page.goto(url)
     if ready:
-        for name in ("linear", "robot", "spiral"):
+        for name in ("linear", "robot", "printed", "pace", "plants", "spiral"):
             page.wait_for_selector(f"[data-explore={name}] svg", state="attached")
         page.wait_for_selector(ready, state="attached")
     yield page
@@ -183,13 +183,16 @@ def computed(name, **changes):
     """What `rhl` computes with these settings, by key, the others being the experiment's own."""
     changed = sweeps.experiment(name)
     for setting in (setting for group in sweeps.settings(name) for setting in group):
-        changed = setting.change(changed, changes.get(setting.key, setting.own))
+        if setting.key in changes:
+            changed = setting.change(changed, changes[setting.key])
     return sweeps.record(changed)
 
 
 def mistakes(host, name, changes):
     """What in the explorer is not the run with these changes: columns of its table, curves of its charts."""
     record, panels = computed(name, **changes), sweeps.signals(name)
+    # The axes stay as they are until they are asked to hold the run.
+    host.get_by_role("button", name="Fit the axes").click()
     keys = [key for panel in panels for key in panel["curves"]]
     table = numbers(host)
     found = [key for key, column in zip(keys, table, strict=True) if not apart(column, record[key]) <= WRITTEN]
@@ -222,7 +225,7 @@ def shown(value):
 
 SLIDERS = [
     (name, place, setting)
-    for name in ("linear", "robot")
+    for name in sweeps.NAMES
     for place, setting in enumerate(setting for group in sweeps.settings(name) for setting in group)
 ]
 
@@ -250,18 +253,18 @@ def test_each_slider_moved_by_keyboard_shows_what_rhl_computes(page, name, place
 def test_settings_of_one_group_are_combined_and_others_go_back(page):
     host = page.locator("[data-explore=linear]")
     host.get_by_role("button", name="Back").click()
-    (horizon, weight, _), (window,) = sweeps.settings("linear")[:2]
+    (horizon, weight, _), (_, _), (window,) = sweeps.settings("linear")[:3]
     moved(page, host, 0, "Home", "N = 1")
     moved(page, host, 1, "End", f"R = {shown(weight.values[-1])}")
     assert mistakes(host, "linear", {"horizon": horizon.values[0], "R": weight.values[-1]}) == []
-    moved(page, host, 3, "Home", "N̄ = 1")
+    moved(page, host, 5, "Home", "N̄ = 1")
     assert mistakes(host, "linear", {"window": window.values[0]}) == []
     assert mistakes(host, "linear", {"window": window.values[0], "horizon": horizon.values[0]})
 
 
 def test_what_changes_is_said(page):
     host = page.locator("[data-explore=linear]")
-    moved(page, host, 4, "End", "λ = 0.95")
+    moved(page, host, 6, "End", "λ = 0.95")
     said = page.wait_for_function(
         "host => [host.querySelector('[role=status]').textContent].find(text => text.includes('0.95'))",
         arg=host.element_handle(),
@@ -296,10 +299,10 @@ def wrong_place(runs):
 
 @pytest.mark.parametrize("change", [one_number, wrong_place])
 def test_tampered_data_are_noticed(chromium, site, change):
-    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-1-0", change)) as page:
+    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-2-0", change)) as page:
         host = page.locator("[data-explore=linear]")
         host.locator("details").evaluate("one => { one.open = true }")
-        moved(page, host, 3, "Home", "N̄ = 1")
+        moved(page, host, 5, "Home", "N̄ = 1")
         assert mistakes(host, "linear", {"window": 1})
 
 
@@ -309,10 +312,10 @@ def cut(runs):
 
 
 def test_a_run_that_diverges_is_shown_as_such(chromium, site):
-    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-1-0", cut)) as page:
+    with opened(chromium, f"{site}{PAGE}", doctor=tampered("linear-2-0", cut)) as page:
         host = page.locator("[data-explore=linear]")
         host.locator("details").evaluate("one => { one.open = true }")
-        moved(page, host, 3, "Home", "N̄ = 1")
+        moved(page, host, 5, "Home", "N̄ = 1")
         assert host.locator("text.note").first.text_content() == "diverges, k = 9"
         host.get_by_text("leaves the range of floating-point numbers at k = 9").wait_for()
         assert len(numbers(host)[0]) == 9
@@ -321,12 +324,12 @@ def test_a_run_that_diverges_is_shown_as_such(chromium, site):
 
 def test_data_that_do_not_come_are_told(chromium, site):
     with opened(
-        chromium, f"{site}{PAGE}", doctor=lambda page: page.route("**/linear-1-0.js", lambda r: r.abort())
+        chromium, f"{site}{PAGE}", doctor=lambda page: page.route("**/linear-2-0.js", lambda r: r.abort())
     ) as page:
         host = page.locator("[data-explore=linear]")
-        host.locator("input[type=range]").nth(3).focus()
+        host.locator("input[type=range]").nth(5).focus()
         page.keyboard.press("Home")
-        host.get_by_text("linear-1-0.js could not be loaded").wait_for()
+        host.get_by_text("linear-2-0.js could not be loaded").wait_for()
 
 
 def test_spiral(page):
@@ -389,9 +392,9 @@ def test_the_page_is_light_and_asks_nobody_else(chromium, site):
         sizes = weights(asked)
     assert all(url.startswith(site) for url in sizes)
     data = {url: size for url, size in sizes.items() if "/explore/data/" in url}
-    assert len(data) == 4
+    assert len(data) == 8
     assert sum(sizes.values()) - sum(data.values()) < 1.5e6
-    assert sum(path.stat().st_size for path in DATA.iterdir()) < 2e6
+    assert sum(path.stat().st_size for path in DATA.iterdir()) < 2.5e6
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -400,12 +403,12 @@ def test_without_scripts_a_picture_stands_there(chromium, site, scheme):
         assert page.locator("[data-explore]:visible").count() == 0
         assert page.locator("noscript p").is_visible()
         pictures = page.locator(".rhl-figure img:visible")
-        assert pictures.count() == 4
+        assert pictures.count() == 7
         assert all(len(text.split()) > 10 for text in pictures.evaluate_all("all => all.map(one => one.alt)"))
 
 
 def test_with_scripts_the_pictures_make_room(page):
-    assert page.locator("[data-explore]:visible").count() == 4
+    assert page.locator("[data-explore]:visible").count() == 7
     assert page.locator(".rhl-figure img:visible").count() == 0
 
 
@@ -436,7 +439,7 @@ def test_on_a_phone(chromium, site):
         assert min(targets) >= 44
         host = page.locator("[data-explore=linear]")
         host.locator("details").evaluate("one => { one.open = true }")
-        control = host.locator("input[type=range]").nth(3)
+        control = host.locator("input[type=range]").nth(5)
         # Not by coordinates of the page: the slider moves until the charts above it are drawn.
         control.tap(position={"x": 8, "y": control.bounding_box()["height"] / 2})
         page.wait_for_function(SAYS, arg=[host.element_handle(), "N̄ = 1"])

@@ -92,13 +92,19 @@ const rhlExplore = (() => {
     return { row, input, set, show, get place() { return Number(input.value); } };
   }
 
-  /* A line of text that is also read out, once the sliders rest. */
+  /* A line of text that changes at once, and is read out when the sliders rest; never while `quiet`. */
   function status() {
-    const line = element("p", { role: "status", "aria-live": "polite", class: "status" });
+    const line = element("p", { role: "status", "aria-live": "off", class: "status" });
     let timer;
     line.say = (text) => {
       clearTimeout(timer);
-      timer = setTimeout(() => { line.textContent = text; }, 250);
+      line.setAttribute("aria-live", "off");
+      line.textContent = text;
+      timer = setTimeout(() => {
+        if (line.quiet) return;
+        line.setAttribute("aria-live", "polite");
+        line.replaceChildren(text); // it is a change that is read out
+      }, 400);
     };
     return line;
   }

@@ -117,7 +117,8 @@
       clearInterval(timer);
       timer = null;
       play.textContent = "Play";
-      line.setAttribute("aria-live", "polite");
+      line.quiet = false;
+      line.say(words(data, at.place));
       keep();
     }
 
@@ -127,7 +128,7 @@
       if (at.place === last) go(0);
       play.textContent = "Pause";
       // Every step would be read out over the one before.
-      line.setAttribute("aria-live", "off");
+      line.quiet = true;
       timer = setInterval(() => {
         go(at.place + 1);
         if (at.place === last) stop();
