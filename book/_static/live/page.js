@@ -32,7 +32,7 @@
   ];
   /* What the library calls a field in its sentences, where that is not the field's own name. */
   const CALLED = {
-    horizon: "N", rate: "eta", lam: "lambda", weight: "rho", model_delay: "delay",
+    outputs: "m", horizon: "N", rate: "eta", lam: "lambda", weight: "rho", model_delay: "delay",
     "the step of the disturbance": "push_step", "the size of the disturbance": "push_size",
   };
 
@@ -194,8 +194,9 @@
       const sizes = steps.map(({ y }) => Math.max(...y.map(Math.abs)));
       const peak = Math.max(...sizes);
       const margins = steps.map(({ augmented }) => augmented).filter(Number.isFinite);
+      const least = margins.length ? `; the augmented pair's smallest margin is ${short(Math.min(...margins))}` : "";
       return `${took} The output is at most ${short(peak)} in size, at k = ${sizes.indexOf(peak)}, and ` +
-        `${short(sizes.at(-1))} at the end; the augmented pair's smallest margin is ${short(Math.min(...margins))}.` +
+        `${short(sizes.at(-1))} at the end${least}.` +
         (ended ? ` Then ${ended}.` : "");
     }
 
