@@ -17,6 +17,7 @@ import pytest
 
 from rhl import (
     Controller,
+    DelayLifting,
     LinearPlant,
     PowerDecay,
     ProximalEstimator,
@@ -25,7 +26,6 @@ from rhl import (
     simulate,
     window_scheme,
 )
-from rhl._checks import integer
 from rhl.controllability import ConstantMixing
 from rhl.disturbances import Offset
 from rhl.errors import RHLError
@@ -162,7 +162,8 @@ BAD = {
     "a horizon of zero": (typed(N="0"), lambda: controller(horizon=0)),
     "a horizon in words": (typed(N="long"), lambda: controller(horizon="long")),
     "a window that is no integer": (typed(window="2.5"), lambda: ProximalEstimator(2.5)),
-    "m too small": (typed(m="0"), lambda: integer("m", 0, 1)),
+    "m too small": (typed(m="0"), lambda: DelayLifting(0, 0)),
+    "no steps": (typed(steps="0"), lambda: simulate(EXAMPLE.scheme, EXAMPLE.plant, EXAMPLE.z0, 0)),
     "a rate of zero": (typed(eta="0"), lambda: PowerDecay(0)),
     "a proximal weight of zero": (typed(rho="0"), lambda: WeightedSquares(0)),
     "no mixing weight": (typed(**{"lambda": "1"}), lambda: ConstantMixing(1)),
@@ -260,6 +261,44 @@ def test_sentences_agree_without_a_browser(tmp_path):
     assert all(answer[0] == [] for answer in found)
 
 
+# In the place of each field, alone and as the first of its entries.
+ODD = [
+    "0",
+    "1",
+    "-1",
+    "2.5",
+    "1e200",
+    "-1e308",
+    "1e-320",
+    "nan",
+    "inf",
+    "-inf",
+    "x",
+    "True",
+    "None",
+    "1j",
+    "0x10",
+    "1_000",
+    "∞",
+    "1;2",
+    "[[1,0],[0,1]]",
+]
+
+
+def test_whatever_is_typed_ends_as_in_the_library(tmp_path):
+    short = typed(steps="3", N="4")
+    cases = [short | {key: odd} for key in short for odd in ["", *ODD, "1" + "0" * 400]]
+    cases += [
+        short | {key: " ".join([odd, *short[key].split(" ")[1:]])} for key in ("F", "G", "H", "z0") for odd in ODD
+    ]
+    found = interpreted(tmp_path, cases)
+    for case, (rows, said) in zip(cases, found, strict=True):
+        wanted, words = driver.whole(case)
+        assert (len(rows), said) == (len(wanted), words), case
+    ends = {"ran" if len(rows) == 3 else "ended" if rows else "refused" for rows, _ in found}
+    assert ends == {"ran", "ended", "refused"}
+
+
 def test_a_run_that_leaves_the_range_of_numbers_ends_with_the_library_s_words(tmp_path):
     # No input reaches the state, which grows until no float holds it.
     settings = PRESETS["scalar"] | {"F": "1e150", "G": "0", "steps": "20"}
@@ -272,7 +311,12 @@ def test_a_run_that_leaves_the_range_of_numbers_ends_with_the_library_s_words(tm
 
 
 def test_the_page_has_bounds_of_its_own():
-    assert driver.start(typed(steps="501"))[1] == "steps must be at most 500 on this page, got 501"
+    for name, most in driver.MOST.items():
+        found = driver.start(typed(**{name: str(most + 1)}))[1]
+        assert found == f"{name} must be at most {most} on this page, got {most + 1}"
+    wide = {"F": "1", "G": "1 1 1 1", "H": "1; 1; 1; 1", "z0": "1", "m": "4"}
+    said = "m times the number of outputs and inputs must be at most 30 on this page, got 32"
+    assert driver.start(typed(**wide))[1] == said
     assert driver.start(typed(push_size="1 2"))[1] == "the size of the disturbance must have 1 or 1 entries, got 2"
     assert driver.start(typed(push_step="-1"))[1].startswith("the step of the disturbance must be an integer")
 
@@ -462,7 +506,7 @@ def test_sentences_agree_in_the_browser(chromium, site, engine):
 def test_nothing_is_loaded_before_it_is_asked_for(chromium, site, engine):
     asked = []
     with seen.visit(chromium, site, PAGE, "light") as (page, found):
-        page.context.on("request", lambda request: asked.append(request.url))
+        page.context.on("request", lambda request: "favicon" in request.url or asked.append(request.url))
         names = page.evaluate("() => performance.getEntriesByType('resource').map(({ name }) => name)")
         assert not [name for name in names if "/engine/" in name or "worker.js" in name or "library.zip" in name]
         promised = page.evaluate("() => rhlLive.bytes")
@@ -578,7 +622,8 @@ def test_an_engine_that_cannot_be_loaded_is_said(chromium, site, engine):
 def test_with_scripts_off_there_is_a_picture(chromium, site):
     with chromium.new_page(java_script_enabled=False) as page:
         page.goto(site + PAGE)
-        assert page.get_by_text("Scripts are off in this browser").is_visible()
+        assert page.locator("noscript p").inner_text().startswith("Scripts are off in this browser")
+        assert page.locator("noscript p").is_visible()
         assert page.locator(".tag_live-picture img").first.is_visible()
 
 
@@ -606,3 +651,14 @@ def test_the_linear_example_is_the_published_one():
 def test_the_initial_model_is_that_of_both_schemes():
     wanted = SignalModel.companion_of_ones(4, 4)
     assert np.array_equal(driver.prepare(PRESETS["linear-example"])[1].initial_model.theta, wanted.theta)
+
+
+def test_the_page_is_told_of_the_engine_only_where_there_is_one(tmp_path):
+    assert live_page.description(tmp_path / "none", 7) == live_page.description(tmp_path, 7)
+    without = live_page.description(tmp_path, 7)
+    assert (without["engine"], without["bytes"]) == ("", 0)
+    (tmp_path / "version").write_text("1.2")
+    (tmp_path / "a.wasm").write_bytes(b"1234")
+    told = live_page.description(tmp_path, 7)
+    assert (told["engine"], told["bytes"]) == ("1.2", 11)
+    assert [plant["name"] for plant in told["presets"]] == list(PRESETS)

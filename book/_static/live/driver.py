@@ -7,7 +7,7 @@ the tests hold `prepare` against `rhl.simulate`.
 import numpy as np
 
 from rhl import Controller, DelayLifting, LinearPlant, PowerDecay, ProximalEstimator, Scheme, SignalModel, _engine
-from rhl._checks import integer, real_array
+from rhl._checks import describe, integer, real_array
 from rhl.closed_loop import check_loop
 from rhl.controllability import ConstantMixing, controllability_margin
 from rhl.errors import DivergedError, InputError, RHLError
@@ -17,8 +17,9 @@ from rhl.schedules import epsilons
 
 loops.np = getattr(np, "loops", np)
 
-# More would keep a reader waiting, and a run this long shows what it will do.
-MOST_STEPS = 500
+# More would keep a reader waiting; the library itself has no such bounds.
+MOST = {"m": 12, "window": 200, "N": 200, "steps": 500}
+MOST_SIGNALS = 30
 
 
 def number(text):
@@ -55,8 +56,12 @@ def weight(text):
 
 def prepare(settings):
     """Return plant, scheme, z(0) and the number of steps, of the page's fields; InputError as rhl words it."""
+    for name, most in MOST.items():
+        _at_most(most, name, number(settings[name]))
     plant = LinearPlant(matrix(settings["F"]), matrix(settings["G"]), matrix(settings["H"]))
-    order = integer("m", number(settings["m"]), 1)
+    order = number(settings["m"])
+    if isinstance(order, int):
+        _at_most(MOST_SIGNALS, "m times the number of outputs and inputs", order * (plant.p + plant.q))
     scheme = Scheme(
         lifting=DelayLifting(order, order),
         estimator=ProximalEstimator(
@@ -72,9 +77,12 @@ def prepare(settings):
         mixing=ConstantMixing(number(settings["lambda"])),
     )
     steps = integer("steps", number(settings["steps"]), 1)
-    if steps > MOST_STEPS:
-        raise InputError(f"steps must be at most {MOST_STEPS} on this page, got {steps}")
     return plant, scheme, check_loop(scheme, plant, vector(settings["z0"]), True), steps
+
+
+def _at_most(most, name, value):
+    if isinstance(value, int) and value > most:
+        raise InputError(f"{name} must be at most {most} on this page, got {describe(value)}")
 
 
 def push(settings, plant):
@@ -110,7 +118,8 @@ class Run:
         state = [x[0, a, 0] for a in range(x.shape[1])]
         # u holds v(k-1), ..., and the last of them is no part of the augmented state.
         state += [u[0, a, 0] for a in range(u.shape[1] - self.scheme.q)]
-        terminal = float(controller.weight(np.array(state), k))
+        with np.errstate(over="ignore"):
+            terminal = float(controller.weight(np.array(state), k))
         n = self.scheme.initial_model.n
         theta = models[1][0, :, :, 0]
         model = SignalModel(theta[:, :n], theta[:, n:])

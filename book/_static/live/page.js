@@ -27,12 +27,12 @@
     ["The run", [
       { key: "steps", words: "number of steps", symbol: "K" },
       { key: "push_step", words: "step at which the plant's input is disturbed", symbol: "k" },
-      { key: "push_size", words: "what is added to the input there", symbol: "Δv" },
+      { key: "push_size", words: "what is added to the input there, a number for each input or one for all", symbol: "Δv" },
     ]],
   ];
   /* What the library calls a field in its sentences, where that is not the field's own name. */
   const CALLED = {
-    horizon: "N", rate: "eta", lam: "lambda", weight: "rho", model_delay: "delay",
+    outputs: "m", horizon: "N", rate: "eta", lam: "lambda", weight: "rho", model_delay: "delay",
     "the step of the disturbance": "push_step", "the size of the disturbance": "push_size",
   };
 
@@ -123,8 +123,6 @@
       worker.onmessage = ({ data }) => hear(data);
       worker.onerror = (event) => {
         event.preventDefault();
-        worker.terminate();
-        worker = null;
         hear({ mine: asked, broken: event.message || "its files could not be loaded" });
       };
       return worker;
@@ -136,7 +134,7 @@
       Object.values(inputs).forEach((input) => input.removeAttribute("aria-invalid"));
       asked += 1;
       engine().postMessage({ start: chosen, mine: asked });
-      shown = { chosen, steps: [], going: true, began: false };
+      shown = { chosen, steps: [], going: true };
       busy(true);
       line.say(loaded ? "Running …" : `Loading the interpreter, ${megabytes(build.bytes)}, from this book's own folder …`);
     }
@@ -162,14 +160,17 @@
       if (data.steps) {
         shown.steps.push(...data.steps);
         if (!still) draw();
-        line.say(`Running: ${shown.steps.length} of ${shown.chosen.steps} steps.`);
+        Object.assign(progress, { max: Number(shown.chosen.steps), value: shown.steps.length });
         return;
       }
       shown.going = false;
       busy(false);
       if (data.refused) refuse(data.refused);
-      else if (data.broken) line.say(`The run could not be made: ${data.broken}.`);
-      else {
+      else if (data.broken) {
+        worker?.terminate(); // so that the next run begins from nothing
+        [worker, loaded] = [null, null];
+        line.say(`The run could not be made: ${data.broken}.`);
+      } else {
         host.dataset.seconds = data.seconds;
         if (shown.steps.length) draw();
         line.say(summary(data));
@@ -193,14 +194,17 @@
       const sizes = steps.map(({ y }) => Math.max(...y.map(Math.abs)));
       const peak = Math.max(...sizes);
       const margins = steps.map(({ augmented }) => augmented).filter(Number.isFinite);
+      const least = margins.length ? `; the augmented pair's smallest margin is ${short(Math.min(...margins))}` : "";
       return `${took} The output is at most ${short(peak)} in size, at k = ${sizes.indexOf(peak)}, and ` +
-        `${short(sizes.at(-1))} at the end; the augmented pair's smallest margin is ${short(Math.min(...margins))}.` +
+        `${short(sizes.at(-1))} at the end${least}.` +
         (ended ? ` Then ${ended}.` : "");
     }
 
     function busy(is) {
-      run.disabled = is;
+      if (!is && document.activeElement === halt) run.focus(); // what is disabled loses the focus
       halt.disabled = !is;
+      progress.hidden = !is;
+      if (is) progress.removeAttribute("value");
     }
 
     /* ---- charts */
@@ -255,7 +259,7 @@
       table();
     }
 
-    /* A disturbance is dragged into the input: where it is let go, there the plant's input is at that step. */
+    /* A disturbance is dragged into the first input: where it is let go, there the plant's input is at that step. */
     function pull(event) {
       const { x, y } = charts.v.where(event);
       const k = Math.min(Math.round(x), shown.steps.length - 1);
@@ -275,7 +279,7 @@
       canvas.addEventListener("pointerup", () => {
         if (!dragged) return;
         inputs.push_step.value = String(dragged.k);
-        inputs.push_size.value = String(dragged.size);
+        inputs.push_size.value = shown.steps[0].v.map((_, i) => (i ? 0 : dragged.size)).join(" ");
         dragged = null;
         start();
       });
@@ -311,6 +315,7 @@
     const back = element("button", { type: "button" }, "Back to this plant's settings");
     const run = element("button", { type: "button", class: "run" }, "Run");
     const halt = element("button", { type: "button" }, "Stop");
+    const progress = element("progress", { "aria-label": "steps taken" });
     const line = status();
     line.textContent = `Nothing is loaded yet. The first run loads ${megabytes(build.bytes)} from this book's own folder.`;
 
@@ -329,7 +334,7 @@
     const pick = element("div", { class: "field pick" }, element("label", { for: picked.id }, "plant to begin with"), picked);
     const sets = GROUPS.map(([legend, fields]) =>
       element("fieldset", {}, element("legend", {}, legend), ...fields.map(field)));
-    host.replaceChildren(pick, element("div", { class: "buttons" }, run, halt, back), line, drawn, ...sets, more);
+    host.replaceChildren(pick, element("div", { class: "buttons" }, run, halt, back), progress, line, drawn, ...sets, more);
     busy(false);
     fill(preset.fields);
     fromAddress();

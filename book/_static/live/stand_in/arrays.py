@@ -202,7 +202,7 @@ def _nested(value):
 
 def _kind(entries):
     """Return the kind that holds all entries, as numpy chooses it."""
-    found = {type(entry) for entry in entries}
+    found = {object if type(entry) is int and not -(2**63) <= entry < 2**64 else type(entry) for entry in entries}
     if not entries:
         return "f"
     known = (("b", bool), ("i", int), ("f", float), ("c", complex), ("U", str))
@@ -212,15 +212,8 @@ def _kind(entries):
 def array(value, dtype=None, order=None, subok=None):
     shape, entries = _nested(value)
     if dtype is float:
-        return made(shape, [_as_float(entry) for entry in entries])
+        return made(shape, [float(entry) for entry in entries])
     return made(shape, entries, _kind(entries))
-
-
-def _as_float(entry):
-    try:
-        return float(entry)
-    except OverflowError:
-        return math.copysign(math.inf, entry)
 
 
 def asarray(value, dtype=None):
@@ -311,6 +304,13 @@ def _divided(a, b):
     return math.nan if a == 0 or a != a else math.copysign(math.inf, a) * math.copysign(1, b)
 
 
+def _power(a, b):
+    try:
+        return a**b
+    except OverflowError:
+        return math.inf
+
+
 def _attach(name, function, kind="f"):
     setattr(ndarray, f"__{name}__", lambda self, other: each(function, self, other, kind=kind))
     setattr(ndarray, f"__r{name}__", lambda self, other: each(function, other, self, kind=kind))
@@ -319,7 +319,7 @@ def _attach(name, function, kind="f"):
 for _name in ("add", "sub", "mul"):
     _attach(_name, getattr(operator, _name))
 _attach("truediv", _divided)
-_attach("pow", operator.pow)
+_attach("pow", _power)
 for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
     _attach(_name, getattr(operator, _name), "b")
 _attach("and", lambda a, b: a and b, "b")

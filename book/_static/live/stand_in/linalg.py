@@ -28,7 +28,11 @@ def svd(M, compute_uv=True):
     """Return the singular values, largest first, by Jacobi's rotations of the shorter side's vectors."""
     if compute_uv or M.ndim != 2:
         raise NotImplementedError("only the singular values of one matrix")
-    rows = M.tolist() if M.shape[0] <= M.shape[1] else M.T.tolist()
+    largest = max(max(abs(M).tolist(), key=max))
+    if largest == 0:
+        return zeros(min(M.shape))
+    scaled = M / largest  # so that no square leaves the range of floating-point numbers
+    rows = scaled.tolist() if M.shape[0] <= M.shape[1] else scaled.T.tolist()
     for _ in range(60):
         turned = False
         for i in range(len(rows)):
@@ -45,7 +49,7 @@ def svd(M, compute_uv=True):
                 rows[j] = [c * (t * x + y) for x, y in zip(a, b, strict=True)]
         if not turned:
             break
-    return array(sorted((math.hypot(*row) for row in rows), reverse=True))
+    return array(sorted((largest * math.hypot(*row) for row in rows), reverse=True))
 
 
 def eigvalsh(M):
