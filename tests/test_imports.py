@@ -115,6 +115,7 @@ PAPER = [
     "paper.chain_picture",
     "paper.sweeps",
     "paper.watch",
+    "paper.explored",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = [

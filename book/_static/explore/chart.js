@@ -228,7 +228,7 @@ const rhlExplore = (() => {
       const X = (v) => left + ((v - from) / (to - from)) * (right - left);
       const Y = (v) => Math.min(Math.max(bottom - ((bent(v) - low) / (high - low)) * (bottom - top), -FAR), FAR);
 
-      const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe() };
+      const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe(), "data-axis": up.kind };
       const svg = shape("svg", view, element("div"));
       if (this.band) {
         const { from: first, to: last } = this.band;
