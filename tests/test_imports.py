@@ -118,6 +118,7 @@ PAPER = [
     "paper.sweeps",
     "paper.playground",
     "paper.watch",
+    "paper.explored",
 ]
 CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
 STUDY = [

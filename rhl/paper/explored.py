@@ -105,8 +105,8 @@ def plant(name: str) -> dict[str, Any]:
     """Return runs on a benchmark plant: the largest output at every k, each output counted in its first size.
 
     Keys: ``title``, ``order``, ``radius`` (the spectral radius); ``known`` (the regulator that knows the plant),
-    ``default`` and ``window`` (the schemes), each one list over k for each of ``NOISES``, the standard
-    deviation of the sensor's errors relative to the first outputs. A list ends where the run left the range of float64.
+    ``default`` and ``window`` (the schemes), each one list over k for each of ``NOISES``, the standard deviation of the
+    sensor's errors relative to the first outputs. A list ends where the run left the range of float64.
 
     Examples
     --------

@@ -332,7 +332,7 @@ def _bound(values: Iterable[float]) -> Setting:
         values,
         values[-1],
         lambda e, value: replace(e, actuator=Saturation(-value, value)),
-        "never reached in the published run",
+        "never reached",
     )
 
 

@@ -16,7 +16,7 @@ from rhl import plotting
 from rhl.controllability import controllability_margin
 from rhl.errors import InputError
 from rhl.model import SignalModel
-from rhl.paper import sweeps
+from rhl.paper import explored, sweeps
 from rhl.paper.claims.lemma_5 import crossing_pairs
 from rhl.paper.claims.proximal import tangential_turns
 from rhl.paper.published import curve
@@ -153,7 +153,7 @@ def page(chromium, site):
 def numbers(host):
     """The table of the run shown, column by column."""
     rows = host.evaluate(
-        "host => [...host.querySelectorAll('table tr')].map(row => [...row.cells].map(cell => cell.textContent))"
+        "host => [...host.querySelectorAll('.numbers tr')].map(row => [...row.cells].map(cell => cell.textContent))"
     )
     columns = zip(*rows[1:], strict=True)
     return [[None if entry == "–" else float(entry) for entry in column] for column in columns][1:]
@@ -161,7 +161,7 @@ def numbers(host):
 
 def drawn(host, panel):
     """The first curve of a panel as drawn, its values read off the axis' own labels; relative to the axis' length."""
-    chart = host.locator("figure").nth(panel)
+    chart = host.locator(".charts figure").nth(panel)
     path = chart.locator("path.curve").first.get_attribute("d")
     heights = [float(entry) for entry in re.findall(r"(?:M\S+ |V)(\S+?)(?=[HVML]|$)", path)]
     ticks = chart.locator("text.tick.up").evaluate_all(
@@ -170,12 +170,22 @@ def drawn(host, panel):
     return heights, ticks
 
 
-def off(heights, ticks, values, log):
-    """By which share of the axis the heights miss the values."""
-    at = np.array([[np.log10(value) if log else value, height] for value, height in ticks])
+def kind_of(host, panel):
+    """How a panel's vertical axis is bent."""
+    return host.locator(".charts figure svg[data-axis]").nth(panel).get_attribute("data-axis")
+
+
+def off(heights, ticks, values, kind):
+    """By which share of the axis, which is even, log or signed, the heights miss the values."""
+    bend = {
+        "even": np.array,
+        "log": lambda v: np.log10(np.maximum(v, 1e-16)),
+        "signed": lambda v: np.sign(v) * np.log10(1 + np.abs(v)),
+    }[kind]
+    at = np.array(ticks, dtype=float)
+    at[:, 0] = bend(at[:, 0])
     slope, start = np.polyfit(*at.T, 1)
-    bent = np.log10(np.maximum(values, 1e-16)) if log else np.array(values)
-    return float(np.max(np.abs(slope * bent + start - np.array(heights))) / np.ptp(at[:, 1]))
+    return float(np.max(np.abs(slope * bend(values) + start - np.array(heights))) / np.ptp(at[:, 1]))
 
 
 @cache
@@ -198,15 +208,14 @@ def mistakes(host, name, changes):
     found = [key for key, column in zip(keys, table, strict=True) if not apart(column, record[key]) <= WRITTEN]
     for i, panel in enumerate(panels):
         key = next(iter(panel["curves"]))
-        if not off(*drawn(host, i), record[key], panel["log"]) <= DRAWN:
+        if not off(*drawn(host, i), record[key], kind_of(host, i)) <= DRAWN:
             found.append(f"curve of {key}")
     return found
 
 
 # The caption of the table is "At N = 20, R = 100, ...".
-SAYS = (
-    """([host, text]) => (host.querySelector("table caption")?.textContent ?? "").slice(3).split(", ").includes(text)"""
-)
+SAYS = """([host, text]) => (host.querySelector(".numbers caption")?.textContent ?? "")
+  .slice(3).split(", ").includes(text)"""
 
 
 def moved(page, host, setting, key, text):
@@ -363,8 +372,8 @@ def test_mixtures(page):
     host.get_by_text("At λ = 1 the mixture of order 4").wait_for()
     data = sweeps.mixtures([4])
     heights = [float(y) for y in re.findall(r"[ML]\S+ (\S+?)(?=L|$)", host.locator("path.curve").get_attribute("d"))]
-    assert off(heights, drawn(host, 0)[1], data["margin"][0], log=True) <= DRAWN
-    assert off(heights, drawn(host, 0)[1], data["margin"][0][::-1], log=True) > DRAWN
+    assert off(heights, drawn(host, 0)[1], data["margin"][0], "log") <= DRAWN
+    assert off(heights, drawn(host, 0)[1], data["margin"][0][::-1], "log") > DRAWN
     order.focus()
     page.keyboard.press("Home")
     host.get_by_text("3 nonzero candidates are enough; the paper tries 9").wait_for()
@@ -444,3 +453,200 @@ def test_on_a_phone(chromium, site):
         control.tap(position={"x": 8, "y": control.bounding_box()["height"] / 2})
         page.wait_for_function(SAYS, arg=[host.element_handle(), "N̄ = 1"])
         assert mistakes(host, "linear", {"window": 1}) == []
+
+
+# ---------------------------------------------------------------- what helps to compare runs
+
+
+TICKS = (
+    "host => [...host.querySelectorAll('.charts figure')].map(one => "
+    "[...one.querySelectorAll('text.tick.up')].map(t => t.dataset.value).join())"
+)
+
+
+def test_axes_stay_until_they_are_asked_to_fit(chromium, site):
+    with opened(chromium, f"{site}{PAGE}") as page:
+        host = page.locator("[data-explore=linear]")
+        host.locator("details").evaluate("one => { one.open = true }")
+        begun = host.evaluate(TICKS)
+        moved(page, host, 0, "Home", "N = 1")
+        assert host.evaluate(TICKS) == begun
+        host.get_by_text("Curves leave the axes, which stay as they were.").wait_for()
+        host.get_by_role("button", name="Fit the axes").click()
+        assert host.evaluate(TICKS)[0] != begun[0]
+        assert "Curves leave" not in host.locator("[role=status]").inner_text()
+
+
+def ghost(host):
+    """The thin line in the first panel: heights, and the axis' labels."""
+    found = host.locator(".charts figure").first.locator("path.ghost")
+    return found.get_attribute("d") if found.count() else None
+
+
+def test_the_run_before_stays_as_a_thin_line(chromium, site):
+    with opened(chromium, f"{site}{PAGE}") as page:
+        host = page.locator("[data-explore=linear]")
+        host.locator("details").evaluate("one => { one.open = true }")
+        curve_of = host.locator(".charts figure").first.locator("path.curve").first
+        assert ghost(host) is None
+        first = curve_of.get_attribute("d")
+        moved(page, host, 6, "ArrowRight", "λ = 0.05")
+        second = curve_of.get_attribute("d")
+        assert ghost(host) == first != second
+        moved(page, host, 6, "ArrowRight", "λ = 0.1")
+        assert ghost(host) == second
+        # While a slider is dragged, the run before is the one at which the dragging began.
+        third = curve_of.get_attribute("d")
+        control = host.locator("input[type=range]").nth(6)
+        control.scroll_into_view_if_needed()
+        box = control.bounding_box()
+        page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
+        page.mouse.down()
+        for share in (0.4, 0.5, 0.6, 0.7):
+            page.mouse.move(box["x"] + share * box["width"], box["y"] + box["height"] / 2)
+            page.wait_for_timeout(50)
+        page.mouse.up()
+        page.wait_for_function(
+            "([host, d]) => host.querySelector('path.curve').getAttribute('d') !== d",
+            arg=[host.element_handle(), third],
+        )
+        assert ghost(host) == third
+
+
+def test_a_change_that_resets_others_says_so(page):
+    host = page.locator("[data-explore=linear]")
+    host.get_by_role("button", name="Back").click()
+    line = host.locator("[role=status]")
+    assert "reset" not in line.inner_text()
+    moved(page, host, 0, "Home", "N = 1")
+    assert "reset" not in line.inner_text()
+    moved(page, host, 6, "End", "λ = 0.95")
+    assert line.inner_text().startswith("This reset the other settings to N = 20. At N = 20,")
+    assert host.locator("input[type=range]").first.input_value() == str(
+        sweeps.settings("linear")[0][0].values.index(20)
+    )
+
+
+def test_the_map_shows_peaks_and_sets_both_settings(chromium, site):
+    horizon, weight, rate = sweeps.settings("linear")[0]
+    with opened(chromium, f"{site}{PAGE}") as page:
+        host = page.locator("[data-explore=linear]")
+        host.locator(".numbers").evaluate("box => { box.closest('details').open = true }")
+        cells = host.locator(".map tbody tr").evaluate_all(
+            "rows => rows.map(row => [...row.querySelectorAll('td')].map(cell => cell.textContent))"
+        )
+        assert (len(cells), len(cells[0])) == (len(weight.values), len(horizon.values))
+
+        def peak(N, R, **more):
+            return max(abs(y) for y in computed("linear", horizon=N, R=R, **more)["y1"])
+
+        for N, R in ((1, 100.0), (5, 1e6), (20, 1e4), (30, 1e8)):
+            shows = cells[weight.values.index(R)][horizon.values.index(N)]
+            assert shows == str(round(peak(N, R)))
+        assert cells[0][4] != str(round(peak(5, 1e6)))
+        # The cell of the run shown takes the focus, arrows go on, Enter sets both sliders.
+        chosen = host.locator(".map td[aria-selected=true]")
+        assert chosen.get_attribute("aria-label").startswith("N = 20, R = 10⁴: largest output ")
+        chosen.focus()
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("ArrowUp")
+        page.keyboard.press("Enter")
+        page.wait_for_function(SAYS, arg=[host.element_handle(), "N = 15"])
+        page.wait_for_function(SAYS, arg=[host.element_handle(), "R = 1000"])
+        assert mistakes(host, "linear", {"horizon": 15, "R": 1e3}) == []
+        assert chosen.get_attribute("aria-label").startswith("N = 15, R = 1000")
+        # It follows the third setting.
+        moved(page, host, 2, "End", f"η = {shown(rate.values[-1])}")
+        cell = host.locator(".map tbody tr").nth(4).locator("td").nth(4)
+        assert cell.inner_text() == str(round(peak(5, 1e6, rate=rate.values[-1])))
+        # What another group shows is not in the map.
+        moved(page, host, 6, "End", "λ = 0.95")
+        assert chosen.count() == 0
+
+
+def test_a_run_that_diverges_is_marked_in_the_map(chromium, site):
+    def doctor(page):
+        def answer(route):
+            head, body = (DATA / "linear.js").read_text(encoding="utf-8").split(",", 1)
+            data = json.loads(body.rstrip()[:-1])
+            data["peaks"][2] = None
+            route.fulfill(body=f"{head},{json.dumps(data)})", content_type="text/javascript")
+
+        page.route("**/linear.js", answer)
+
+    with opened(chromium, f"{site}{PAGE}", doctor=doctor) as page:
+        cell = page.locator("[data-explore=linear] .map td").first
+        assert cell.inner_text() == "×"
+        assert cell.get_attribute("aria-label") == "N = 1, R = 100: the run diverges"
+
+
+def test_charts_stay_in_sight_on_a_desktop(chromium, site):
+    with opened(chromium, f"{site}{PAGE}", viewport={"width": 1280, "height": 800}) as page:
+        for name in ("linear", "robot"):
+            host = page.locator(f"[data-explore={name}]")
+            host.locator("input[type=range]").last.scroll_into_view_if_needed()
+            top, bottom = host.locator(".charts").evaluate(
+                "a => [a.getBoundingClientRect().top, a.getBoundingClientRect().bottom]"
+            )
+            slider = host.locator("input[type=range]").last.bounding_box()
+            assert -1 <= top < bottom <= slider["y"] + 1
+
+
+def test_the_spirals_caption_follows_the_picture(page):
+    host = page.locator("[data-explore=spiral]")
+    line = host.locator("[role=status]")
+    data = sweeps.spiral()
+    steps, exponent = host.locator("input[type=range]").all()
+    steps.focus()
+    page.keyboard.press("End")
+    exponent.focus()
+    page.keyboard.press("Home")
+    assert f"e = {data['exponents'][0]}:" in line.inner_text()
+    host.get_by_role("button", name="Let it turn").click()
+    for _ in range(5):
+        page.wait_for_timeout(60)
+        place, said = host.evaluate(
+            "host => [host.querySelector('input').value, host.querySelector('[role=status]').textContent]"
+        )
+        assert said.startswith(f"After {data['k'][int(place)]:,} steps with e = {data['exponents'][0]}:")
+    assert int(place) < len(data["k"]) - 1
+    host.get_by_role("button", name="Stop").click()
+
+
+def test_the_pace(page):
+    host = page.locator("[data-explore=pace]")
+    data = explored.pace()
+    horizon, schedule, growth = host.locator("input[type=range]").all()
+    for control, place in ((horizon, 1), (schedule, 2), (growth, 3)):
+        control.fill(str(place))
+    said = host.locator("[role=status]").inner_text()
+    ends = [data["size"][3][2][1][-1], (data["level"][3][1] * data["epsilon"][2][-1]) ** 0.5]
+    assert f"With a = 1.8, N = 2 and ε(k) = {data['schedules'][2]}," in said
+    assert f"settles at {data['level'][3][1]:.3g}" in said
+    heights = [
+        float(y) for y in re.findall(r"[ML]\S+ (\S+?)(?=L|$)", host.locator("path.curve").first.get_attribute("d"))
+    ]
+    assert off(heights, drawn(host, 0)[1], data["size"][3][2][1], "log") <= DRAWN
+    assert off(heights, drawn(host, 0)[1], data["size"][3][1][1], "log") > DRAWN
+    assert host.locator("path.curve").count() == 2
+    assert abs(ends[0] / ends[1] - 1) < 0.02
+    horizon.fill("5")
+    assert "the stage costs alone hold the plant" in host.locator("[role=status]").inner_text()
+    assert host.locator("path.curve").count() == 1
+
+
+def test_plants_that_others_chose(page):
+    host = page.locator("[data-explore=plants]")
+    host.locator("select").select_option("doyle")
+    host.get_by_text("Doyle's plant on which LQG regulators have no guaranteed margins, order 2").wait_for()
+    host.get_by_role("button", name="Fit the axes").click()
+    data = explored.plant("doyle")
+    for noise in (0, 2):
+        host.locator("input[type=range]").fill(str(noise))
+        host.get_by_role("button", name="Fit the axes").click()
+        for i, key in enumerate(("default", "window", "known")):
+            path = host.locator("path.curve").nth(i).get_attribute("d")
+            heights = [float(y) for y in re.findall(r"[ML]\S+ (\S+?)(?=L|$)", path)]
+            assert off(heights, drawn(host, 0)[1], data[key][noise], "log") <= DRAWN
+        assert off(heights, drawn(host, 0)[1], data["default"][noise], "log") > DRAWN
+    assert host.locator("option").count() == len(explored.plant_names())

@@ -113,6 +113,8 @@ def test_the_picture_draws_the_samples():
         assert len(drawn) == 25
         assert np.abs(drawn[:, 1] - slope * values - start).max() < 0.1
         assert np.abs(drawn[:, 1] - slope * values[::-1] - start).max() > 10
+        assert levels[:, 1].min() <= drawn[:, 1].min()
+        assert drawn[:, 1].max() < 200
     # Left alone it leaves the picture at the top.
     assert points(picture, "left-alone")[-1, 1] < 0
 
@@ -220,6 +222,7 @@ def test_a_step_in_words(page, traces):
     assert "looks 30 steps ahead" in said
     turn_to(page, "linear", 9)
     line.get_by_text("with the model of step 8: it looks 20 steps ahead").wait_for()
+    assert f"Its first input, v = {traces['linear'].v[9, 0]:.3g}, was applied" in line.inner_text().replace("−", "-")
 
 
 def half(data):
@@ -270,6 +273,13 @@ def test_by_keyboard(chromium, site):
         page.wait_for_function(AT, arg=3)
         page.keyboard.press("Enter")
         page.wait_for_function(AT, arg=2)
+        # A click on a chart brings the focus there, so that the page does not scroll instead.
+        host.locator(".canvas").nth(1).click()
+        before = page.evaluate("scrollY")
+        page.keyboard.press(" ")
+        page.wait_for_function(AT, arg=3)
+        page.keyboard.press(" ")
+        assert page.evaluate("scrollY") == before
         host.locator("select").focus()
         page.keyboard.press("End")
         page.wait_for_function("document.querySelector('#rhl-watch-run').value === 'arm'")

@@ -43,13 +43,13 @@
   function plants(host, data) {
     const chart = new Chart({
       title: "largest output, in first sizes", log: true, height: 240,
-      across: { from: 0, to: data.steps - 1, name: "step k" }, hold: true, frame: [1e-3, 10],
+      across: { from: 0, to: data.steps - 1, name: "step k" }, hold: true, frame: [1e-6, 10], floor: 1e-6,
     });
     const line = status();
     const fit = element("button", { type: "button" }, "Fit the axes to this run");
     const picker = element("select", { id: "rhl-plants" },
       ...Object.entries(data.names).map(([name, title]) =>
-        element("option", { value: name }, title.startsWith("COMPleib") ? title : `${title} (${name})`)));
+        element("option", { value: name }, title.startsWith("COMPleib") ? title : `${capital(title)} (${name})`)));
     const steps = Array.from({ length: data.steps }, (_, k) => k);
     const curves = { default: "default scheme", window: "window scheme", known: "known model" };
     let run = null;
@@ -66,7 +66,7 @@
       chart.draw(Object.entries(curves).map(([key, label], j) =>
         ({ x: steps, y: run[key][i], kind: "line", colour: j + 1, label })));
       const parts = Object.entries(curves).map(([key, label]) => `${label}: ${ended(run[key][i])}`).join("; ");
-      line.say(`${run.title}, order ${run.order}, spectral radius ${short(run.radius)}. ${parts}.` +
+      line.say(`${capital(run.title)}, order ${run.order}, spectral radius ${short(run.radius)}. ${parts}.` +
         (chart.beyond ? " Curves leave the axes, which stay as they were." : ""));
     }
 
@@ -83,6 +83,7 @@
       }
     }
 
+    const capital = (text) => text[0].toUpperCase() + text.slice(1);
     const percent = data.noises.map((share) => 100 * share);
     const noise = slider({
       words: "errors of the sensor, in % of the first outputs", symbol: "σ", count: percent.length, place: 0,

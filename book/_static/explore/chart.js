@@ -153,10 +153,10 @@ const rhlExplore = (() => {
   };
 
   /* The vertical axis that holds all values: logarithmic where asked for, and signed-logarithmic where they explode. */
-  function axis(values, log) {
-    const finite = values.filter((v) => v !== null && Number.isFinite(v));
+  function axis(values, log, floor = FLOOR) {
+    const finite = values.filter((v) => v !== null && v !== undefined && Number.isFinite(v));
     if (log) {
-      const positive = finite.map((v) => Math.max(v, FLOOR));
+      const positive = finite.map((v) => Math.max(v, floor));
       return { kind: "log", ...decades(Math.min(...positive), Math.max(...positive)) };
     }
     const [low, high] = [Math.min(0, ...finite), Math.max(0, ...finite)];
@@ -169,9 +169,10 @@ const rhlExplore = (() => {
   const FAR = 1e5; // pixels: what is farther outside of the picture need not be drawn where it is
 
   class Chart {
-    /* `hold`: the vertical axis stays as it was first drawn until `refit` is called; `frame`: values it has to hold. */
-    constructor({ title, log = false, across, height = 170, frame = [], hold = false }) {
-      Object.assign(this, { title, log, across, height, frame, hold, layers: [], mark: null, band: null, held: null });
+    /* `hold`: the vertical axis stays as it was first drawn until `refit` is called; `frame`: values it has to hold;
+       `floor`: what is smaller is left out of a logarithmic axis. */
+    constructor({ title, log = false, across, height = 170, frame = [], hold = false, floor = FLOOR }) {
+      Object.assign(this, { title, log, across, height, frame, hold, floor, layers: [], mark: null, band: null, held: null });
       this.legend = element("span", { class: "legend" });
       this.readout = element("span", { class: "legend readout", "aria-hidden": "true", hidden: "" });
       this.figure = element("figure", {},
@@ -208,7 +209,7 @@ const rhlExplore = (() => {
     scale() {
       if (this.held) return this.held;
       const values = this.layers.filter(({ look }) => look !== "ghost").flatMap((layer) => layer.y);
-      const up = axis(values.concat(this.frame), this.log);
+      const up = axis(values.concat(this.frame), this.log, this.floor);
       if (this.hold) this.held = up;
       return up;
     }
@@ -218,7 +219,7 @@ const rhlExplore = (() => {
       if (!this.held) return false;
       const { low, high } = this.held;
       return this.layers.some(({ y, look }) =>
-        look !== "ghost" && y.some((v) => v !== null && (v > high * (1 + 1e-9) || (v < low && !(this.log && v < FLOOR)))));
+        look !== "ghost" && y.some((v) => v !== null && (v > high || (v < low && !(this.log && low <= this.floor)))));
     }
 
     paint() {
@@ -233,7 +234,7 @@ const rhlExplore = (() => {
       const X = (v) => left + ((v - from) / (to - from)) * (right - left);
       const Y = (v) => Math.min(Math.max(bottom - ((bent(v) - low) / (high - low)) * (bottom - top), -FAR), FAR);
 
-      const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe() };
+      const view = { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": this.describe(), "data-axis": up.kind };
       const svg = shape("svg", view, element("div"));
       if (this.band) {
         const { from: first, to: last } = this.band;

@@ -54,7 +54,7 @@
       say: (place) => data.k[place].toLocaleString("en"), move: draw,
     });
     const e = slider({
-      words: "how fast the directions turn tangential", symbol: "e", count: data.exponents.length, place: data.own,
+      words: "exponent of δ(k)", symbol: "e", count: data.exponents.length, place: data.own,
       say: (place) => `${data.exponents[place]}${place === data.own ? " (the counterexample)" : ""}`, move: draw,
     });
 

@@ -43,8 +43,8 @@
         ...along.values.map((value) => head("col", short(value))))),
       element("tbody", {}, ...down.values.map((value, r) => element("tr", {}, head("row", short(value)), ...cells[r]))));
     const names = [...bounds.map((bound) => `up to ${bound}`), `above ${bounds.at(-1)}`];
-    const keys = names.map((text, i) => element("span", { class: "key" }, element("i", { class: `h${i}` }), text));
-    keys.push(element("span", { class: "key" }, element("i", { class: "hx" }, "×"), "diverges"));
+    const keys = names.map((text, i) => element("span", { class: "key" }, element("i", { class: `peak-${i}` }), text));
+    keys.push(element("span", { class: "key" }, element("i", { class: "peak-x" }, "×"), "diverges"));
     const figure = element("figure", { class: "peaks" },
       element("figcaption", {}, element("b", {}, "Largest |y| over the horizon N and the input weight R. A cell sets both.")),
       element("div", { class: "wide", role: "group", "aria-label": "Map of the largest output", tabindex: "0" }, grid),
@@ -55,7 +55,7 @@
       cells.forEach((row, r) => row.forEach((cell, n) => {
         const peak = peakAt(n, r);
         const shown = here !== null && here[0] === n && here[1] === r;
-        cell.className = `h${level(peak)}`;
+        cell.className = `peak-${level(peak)}`;
         cell.textContent = peak === null ? "×" : peak < 1000 ? String(Math.round(peak)) : short(Number(peak.toPrecision(1)));
         cell.setAttribute("aria-selected", String(shown));
         cell.setAttribute("aria-label", `${along.symbol} = ${short(along.values[n])}, ${down.symbol} = ` +

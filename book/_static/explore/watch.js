@@ -13,9 +13,9 @@
     return run in RUNS ? { run, k: k === undefined ? null : Number(k) } : null;
   }
 
-  /* "position (m)" and 0.01 as "position = 0.01 m". */
+  /* "position (m)" and 0.01 as "position = 0.01 m", "output y" and 2 as "y = 2". */
   function named(title, value) {
-    const [, name, unit] = title.match(/^(.*?)(?: \((.*)\))?$/);
+    const [, name, unit] = title.match(/^(?:input |output )?(.*?)(?: \((.*)\))?$/);
     return `${name} = ${short(value)}${unit ? ` ${unit}` : ""}`;
   }
   const list = (titles, rows, k) => titles.map((title, i) => named(title, rows[i][k])).join(", ");
@@ -183,7 +183,8 @@
     picker.value = run;
     picker.addEventListener("change", () => choose(picker.value, null));
 
-    // Space plays and arrows step wherever the focus is, but where the browser gives them a meaning of their own.
+    // A click on a chart brings the focus here. Space plays and arrows step wherever it is, but where the browser gives them a meaning of their own.
+    host.tabIndex = -1;
     host.addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
       const kind = event.target.localName;
