@@ -338,7 +338,9 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_error_bound,
-        control=Control("errors of the maps that stay", lambda effort: check_error_bound(effort, approaching=False)),
+        control=Control(
+            "errors of the maps that do not decay", lambda effort: check_error_bound(effort, approaching=False)
+        ),
         kind="hypothesis",
     ),
     _claim(

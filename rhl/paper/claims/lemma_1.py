@@ -424,7 +424,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="refuted",
         stated=check_implication,
-        control=Control("a state that is reached yet more weakly", lambda effort: check_implication(effort, 1e-5)),
+        control=Control("a state on which the input acts even less", lambda effort: check_implication(effort, 1e-5)),
         instance=Control("a state that is reached by a hundredth at least", partial(check_implication, least=1e-2)),
         reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
         "V3 with respect to r grow like 1/delta. Read as a bound on the plans met along the loop, (b) does imply (a) "

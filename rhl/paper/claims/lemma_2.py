@@ -66,7 +66,7 @@ def along(violation: Violation, effort: Effort, error_decay: float = 0.6) -> Evi
 def check_young(effort: Effort, skew: float = 0.0) -> Evidence:
     """(29) for random symmetric Q and for the y that makes it tight.
 
-    ``skew``: add a skew-symmetric part to Q, which x'Qx does not see.
+    ``skew``: add a skew-symmetric part to Q, which does not change x'Qx.
     """
     rng = effort.rng("eq-29")
     excess = []
@@ -221,7 +221,7 @@ CLAIMS: tuple[Claim, ...] = (
         "The closed loop with V3, accurate predictor maps, bounded gains and r(k) -> 0 brings state and input to zero.",
         method="simulation",
         stated=check_rest,
-        control=Control("r(k) not going to zero", lambda effort: check_rest(effort, floor=0.1)),
+        control=Control("r(k) that does not tend to zero", lambda effort: check_rest(effort, floor=0.1)),
         uses=("assumption-4a", "lemma-2.differences"),
     ),
     _claim(
@@ -253,7 +253,9 @@ CLAIMS: tuple[Claim, ...] = (
         "Of (8) only i = 1 is used: the loop rests although predictions over two steps stay wrong by a share of x.",
         method="simulation",
         stated=check_second_step,
-        control=Control("a plant about which one step is wrong too", partial(check_second_step, growth=3.0)),
+        control=Control(
+            "a plant for which the one-step prediction is wrong too", partial(check_second_step, growth=3.0)
+        ),
         uses=("assumption-3", "assumption-5", "lemma-2.conclusion", "lemma-2.input"),
     ),
     _step(
@@ -308,7 +310,7 @@ CLAIMS: tuple[Claim, ...] = (
         "young",
         "x'Qy <= lambda (rho/2 x'x + y'y/(2 rho)) for symmetric Q between 0 and lambda.",
         stated=check_young,
-        control=Control("a skew-symmetric part in Q, which x'Qx does not see", partial(check_young, skew=0.5)),
+        control=Control("a skew-symmetric part in Q, which does not change x'Qx", partial(check_young, skew=0.5)),
         proof="notebooks/06-lemma-2.ipynb#young",
     ),
     _claim(

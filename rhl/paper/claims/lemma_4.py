@@ -220,7 +220,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_recurrent,
-        control=Control("one function that is never met again", partial(check_recurrent, forgotten=True)),
+        control=Control("one function that is never used again", partial(check_recurrent, forgotten=True)),
         uses=("eq-46", "lemma-4.weak"),
         proof="notebooks/09-lemma-4.ipynb#proof-weak",
     ),
@@ -368,7 +368,7 @@ CLAIMS: tuple[Claim, ...] = (
         "holds",
         stated=check_only_quadratics,
         control=Control(
-            "the entropy, which lives on positive vectors only", partial(check_only_quadratics, positive=True)
+            "the entropy, which is defined on positive vectors only", partial(check_only_quadratics, positive=True)
         ),
         proof="notebooks/09-lemma-4.ipynb#proof-whole-space",
     ),

@@ -119,7 +119,8 @@ CLAIMS: tuple[Claim, ...] = (
             "minimisers that differ from step to step", partial(check_convergence, failing=False, consistent=False)
         ),
         instance=Control(
-            "functions that come back, or fade no faster than 1/k", partial(check_convergence, failing=False)
+            "functions that are used again, or whose weights decrease no faster than 1/k",
+            partial(check_convergence, failing=False),
         ),
         reason="The proof goes from 'the steps tend to zero' to 'the sequence converges', and from there to 'the "
         "limit is in X'; both can fail: for f = 2^-k x^2 the limit is outside X (lemma-4.limit-outside), for "
@@ -136,7 +137,7 @@ CLAIMS: tuple[Claim, ...] = (
         "exact arithmetic",
         "holds",
         stated=check_limit_outside,
-        control=Control("f(x,k) = x^2, which does not fade", partial(check_limit_outside, ratio=Fraction(1))),
+        control=Control("f(x,k) = x^2, which does not depend on k", partial(check_limit_outside, ratio=Fraction(1))),
         proof="notebooks/09-lemma-4.ipynb#proof-limit-outside",
         formal="lemma_4.bounded_away",
     ),
@@ -149,7 +150,7 @@ CLAIMS: tuple[Claim, ...] = (
         "symbolic identity",
         "holds",
         stated=check_no_limit,
-        control=Control("d_k'x_k = k^(-3/2) |x_k| / 2, which can be summed", partial(check_no_limit, exponent=1.5)),
+        control=Control("d_k'x_k = k^(-3/2) |x_k| / 2, which has a finite sum", partial(check_no_limit, exponent=1.5)),
         proof="notebooks/09-lemma-4.ipynb#proof-no-limit",
     ),
 )

@@ -261,7 +261,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_lemma,
         control=Control(
-            "a pair mixed in that is different, and deaf in the same directions",
+            "a different second pair, whose inputs miss the same directions",
             partial(check_lemma, draw=pairs_deaf_together),
         ),
         proof="notebooks/10-lemma-5.ipynb#proof-lemma-5",

@@ -391,7 +391,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         recorded="holds",
         stated=check_differences,
-        control=Control("steps of one radian for ever", partial(check_differences, spin=1.0)),
+        control=Control("steps of one radian at all times", partial(check_differences, spin=1.0)),
         uses=("theorem-1.star",),
         proof=_PROOF,
     ),

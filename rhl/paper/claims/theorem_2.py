@@ -261,7 +261,7 @@ CLAIMS: tuple[Claim, ...] = (
         "simulation",
         "refuted",
         stated=check_settles,
-        control=Control("data that obey no signal model", partial(check_settles, noise=0.3)),
+        control=Control("data that satisfy no signal model", partial(check_settles, noise=0.3)),
         instance=Control("inputs whose angles have a finite sum", partial(check_settles, exponent=1.5)),
         reason="It rests on Lemma 4, and fails as that does: with A = 0, B = 0, x = 0 and unit inputs nearly "
         "orthogonal to the estimate of B, that estimate turns for ever (proof: lemma-4.no-limit). What does hold: "
@@ -278,7 +278,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_sums,
-        control=Control("data that obey no signal model", partial(check_sums, noise=0.3)),
+        control=Control("data that satisfy no signal model", partial(check_sums, noise=0.3)),
         uses=("assumption-6", "assumption-7", "lemma-4.weak"),
         proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-weak",
     ),
@@ -294,7 +294,9 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_decaying,
-        control=Control("signals that go on, of which four windows are counted", partial(check_decaying, counted=4)),
+        control=Control(
+            "signals that do not decay, of which four windows are counted", partial(check_decaying, counted=4)
+        ),
         uses=("theorem-2.i.weak",),
         proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-weak",
     ),

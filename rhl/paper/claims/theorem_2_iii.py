@@ -276,7 +276,7 @@ CLAIMS: tuple[Claim, ...] = (
         "exact arithmetic",
         "holds",
         stated=partial(check_step_to_augmented, on="augmented"),
-        control=Control("a search that looks at the lifted pair", check_step_to_augmented),
+        control=Control("a search that tests the lifted pair", check_step_to_augmented),
         uses=("lemma-5", "theorem-2.iii.affine"),
         proof="notebooks/10-lemma-5.ipynb#proof-search-augmented",
     ),

@@ -9,6 +9,7 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.estimator import ProximalEstimator
+from rhl.horizon import solve
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
@@ -16,6 +17,7 @@ from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
 from rhl.paper.claims.kalman import kalman_form
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import signal_model
+from rhl.problems import V1
 from rhl.schedules import PowerDecay
 from rhl.scheme import Controller, Scheme
 from rhl.simulation import simulate
@@ -61,6 +63,26 @@ def end_over_peak(trace: Trace) -> Array:
     """Return the size of (z, v) at the end of each run over its largest size, shape (...)."""
     size = np.sqrt(np.sum(trace.z**2, axis=-1) + np.sum(trace.v**2, axis=-1))
     return np.asarray(size[-1] / np.max(size, axis=0))
+
+
+def late_factor(trace: Trace, steps: int = 100) -> Array:
+    """Return by what factor each state shrinks per step, on average over the last steps of its run, shape (...)."""
+    size = np.linalg.norm(trace.z, axis=-1)
+    return np.asarray((size[-1] / size[-1 - steps]) ** (1 / steps))
+
+
+def radius_without_weight(trace: Trace, plant: LinearPlant) -> Array:
+    """Return the spectral radius of each loop with its last model kept and no terminal weight, shape (count,).
+
+    ``trace``: a batch of runs of ``plant``, shape (count,), with m at least the observability index.
+    """
+    lifting, controller = trace.scheme.lifting, trace.scheme.controller
+    pairs = [signal_model(F, G, H, lifting.outputs) for F, G, H in zip(plant.F, plant.G, plant.H, strict=True)]
+    true = lifting.augment(SignalModel(np.stack([pair.A for pair in pairs]), np.stack([pair.B for pair in pairs])))
+    held = lifting.augment(trace.steps[-1].model)
+    problem = V1(held, controller.Q, controller.R, controller.QN, 0.0, controller.horizon)
+    first = [solve(problem, np.broadcast_to(x, (len(pairs), held.n))).u[:, 0] for x in np.eye(held.n)]
+    return np.asarray(np.max(np.abs(np.linalg.eigvals(true.A + true.B @ np.stack(first, axis=-1))), axis=-1))
 
 
 def check_convergence(effort: Effort, reachable: bool = True) -> Evidence:

@@ -104,7 +104,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_losses,
-        control=Control("data that obey no signal model", partial(check_losses, noise=0.3)),
+        control=Control("data that satisfy no signal model", partial(check_losses, noise=0.3)),
         uses=("assumption-6", "assumption-7", "lemma-4.weak"),
         proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-weak",
     ),
@@ -117,7 +117,7 @@ CLAIMS: tuple[Claim, ...] = (
         "exact arithmetic",
         "holds",
         stated=check_fading,
-        control=Control("a loss that does not fade, c(e,k) = e^2", partial(check_fading, ratio=Fraction(1))),
+        control=Control("a loss that does not depend on k, c(e,k) = e^2", partial(check_fading, ratio=Fraction(1))),
         proof="notebooks/11-theorem-2.ipynb#proof-varying",
     ),
     _claim(

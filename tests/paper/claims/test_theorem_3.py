@@ -1,10 +1,17 @@
 """Theorem 3: claims as recorded, and that their quantities mean what they say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from rhl.estimator import ProximalEstimator
+from rhl.losses import WeightedSquares
+from rhl.model import SignalModel
 from rhl.paper.claims import theorem_3
 from rhl.paper.claims.claim import Effort, judge
+from rhl.plants import LinearPlant
+from rhl.scheme import Controller
 from rhl.simulation import simulate
 
 
@@ -38,3 +45,25 @@ def test_end_over_peak_is_one_for_a_run_that_grows():
         v = np.zeros((5, 2, 1))
 
     assert np.array_equal(theorem_3.end_over_peak(Grown()), [1.0, 1.0])
+
+
+def test_factor_and_radius_of_loops_that_are_known():
+    """With its own pair as model, z+ = a z + v without terminal weight is the linear-quadratic regulator's loop."""
+    a = np.array([1.2, 0.5])
+    plant = LinearPlant(a[:, None, None], np.ones((2, 1, 1)), np.ones((2, 1, 1)))
+    scheme = replace(
+        theorem_3.scheme_for(1, SignalModel(a[:, None, None], np.ones((2, 1, 1)))),
+        estimator=ProximalEstimator(2, generator=WeightedSquares(1e15)),
+        controller=Controller(Q=1.0, R=3.0, QN=1.0, horizon=30, epsilon=lambda k: 1.0),
+    )
+    trace = simulate(scheme, plant, np.ones((2, 1)), 60)
+    # P solves the scalar Riccati equation; the loop has the pole a R / (R + P).
+    half = 3.0 * (a**2 - 1) + 1.0
+    P = (half + np.sqrt(half**2 + 12.0)) / 2
+    expected = a * 3.0 / (3.0 + P)
+    assert np.allclose(theorem_3.radius_without_weight(trace, plant), expected, rtol=1e-6)
+    assert np.allclose(theorem_3.late_factor(trace, 20), expected, rtol=1e-6)
+    shorter = replace(scheme, controller=replace(scheme.controller, horizon=1))
+    other = simulate(shorter, plant, np.ones((2, 1)), 60)
+    # A horizon of one step and no terminal weight plans no input.
+    assert np.allclose(theorem_3.radius_without_weight(other, plant), a, rtol=1e-9)
