@@ -11,7 +11,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test serve site pdf verify proofs bench campaign lock clean
+.PHONY: help env book test serve site pdf epub verify proofs bench campaign lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -39,6 +39,9 @@ site: env ## pack the built book into one file that opens from any local server:
 
 pdf: env ## print the built book into build/rhl-book.pdf, with Debian's Chromium
 	python tools/print.py build/rhl-book.pdf
+
+epub: env ## make an EPUB of the built book: build/rhl-book.epub
+	RHL_BOOK=1 python tools/epub.py build/rhl-book.epub
 
 verify: env ## every claim of the paper, and both simulations against its published data
 	rhl reproduce linear

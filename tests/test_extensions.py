@@ -193,6 +193,18 @@ def test_a_formula_stands_beside_its_tex_and_alone_in_the_epub():
     assert 'data-number="(7)"' in local_mathjax.beside(r"\[x \tag{7}\]", MACROS, instead=False)
 
 
+def test_a_power_of_a_matrix_is_one_of_all_of_it():
+    made, _ = local_mathjax.mathml(r"\begin{bmatrix} a \\ b \end{bmatrix}^+", True, MACROS)
+    (power,) = BeautifulSoup(made, "html.parser").select("msup")
+    assert [part.name for part in power.find_all(recursive=False)] == ["mrow", "mo"]
+
+
+def test_a_power_of_nothing_fails_the_build(monkeypatch):
+    monkeypatch.setattr(local_mathjax, "_converted", lambda tex, block: "<math><msup><mo>[</mo></msup></math>")
+    with pytest.raises(ExtensionError, match=r"must have 2 parts, found 1: \[\^2"):
+        local_mathjax.mathml("[^2", True, MACROS)
+
+
 def test_lines_become_rows_and_the_number_stands_behind():
     lines = r"\begin{aligned}a &amp;= b\\ c &amp;= d\end{aligned}\tag{7}"
     markup = rf"<div>\[\begin{{equation*}}{lines}\end{{equation*}}\]</div>"

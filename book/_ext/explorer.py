@@ -35,7 +35,7 @@ def place(app: Sphinx) -> None:
 
     The data are kept beside the book; tools/fresh.py drops them, as it does outputs of notebooks, when `rhl/` changes.
     """
-    if app.builder.format != "html":
+    if app.builder.name != "html":
         return
     kept = Path(app.outdir).parent / "explore"
     if not kept.exists():

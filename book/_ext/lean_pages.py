@@ -43,7 +43,7 @@ def mend(text: str) -> tuple[str, set[str]]:
 
 def mend_pages(app: Sphinx, exception: Exception | None) -> None:
     """Mend every page of the book."""
-    if exception or app.builder.format != "html":
+    if exception or app.builder.name != "html":
         return
     found = set()
     for path in Path(app.outdir).rglob("*.html"):

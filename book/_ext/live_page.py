@@ -43,7 +43,7 @@ def description(engine: Path, more: int) -> dict[str, Any]:
 
 def place(app: Sphinx) -> None:
     """Put library, engine and plants where the page looks for them."""
-    if app.builder.format != "html":
+    if app.builder.name != "html":
         return
     live, engine = Path(app.outdir, "_static", "live"), ROOT / "build" / "pyodide"
     live.mkdir(parents=True, exist_ok=True)

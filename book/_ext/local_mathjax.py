@@ -26,6 +26,8 @@ WITHOUT_SCRIPTS = "<noscript><style>.math .tex { display: none; }</style></noscr
 _LINES = r"split|aligned|align\*?|gathered|gather\*?"
 _WRAPPED = re.compile(r"\\(begin|end)\{equation\*?\}")
 _TAG = re.compile(r"\\tag\{([^{}]*)\}")
+# What has a fixed number of parts in MathML.
+_PARTS = {"msup": 2, "msub": 2, "msubsup": 3, "mover": 2, "munder": 2, "munderover": 3, "mfrac": 2, "mroot": 2}
 _DELIMITED = re.compile(r"\\\((.*?)\\\)|\\\[(.*)\\\]|(\\begin\{.*\\end\{[a-z]+\*?\})", flags=re.DOTALL)
 
 
@@ -59,6 +61,8 @@ def plain(tex: str, macros: Mapping[str, str]) -> tuple[str, str]:
     tex = _TAG.sub("", tex)
     tex = re.sub(rf"\\begin\{{(?:{_LINES})\}}", lambda _: r"\begin{array}{rlrlrl}", tex)
     tex = re.sub(rf"\\end\{{(?:{_LINES})\}}", lambda _: r"\end{array}", tex)
+    # A power of a matrix would become one of its bracket.
+    tex = re.sub(r"(\\begin\{([bpvBV]?matrix)\}.*?\\end\{\2\})(?=[\^_])", r"{\1}", tex, flags=re.DOTALL)
     return tex.strip(), ", ".join(numbers)
 
 
@@ -72,10 +76,16 @@ def mathml(tex: str, block: bool, macros: Mapping[str, str]) -> tuple[str, str]:
     known, number = plain(tex, macros)
     made = _converted(known, block)
     try:
-        words = "".join(ElementTree.fromstring(made).itertext())
+        tree = ElementTree.fromstring(made)
     except ElementTree.ParseError as error:
         raise ExtensionError(f"the MathML of a formula is not well formed ({error}): {tex}") from error
-    if left := re.findall(r"\\[A-Za-z]+|&", words):
+    for script in tree.iter():
+        parts = _PARTS.get(script.tag.rpartition("}")[2], len(script))
+        if len(script) != parts:
+            raise ExtensionError(
+                f"a script of the MathML of a formula must have {parts} parts, found {len(script)}: {tex}"
+            )
+    if left := re.findall(r"\\[A-Za-z]+|&", "".join(tree.itertext())):
         raise ExtensionError(f"a formula cannot be written as MathML for {', '.join(left)}: {tex}")
     return made, number
 

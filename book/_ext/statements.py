@@ -137,7 +137,7 @@ def sections(doctree: nodes.document, start: str) -> Iterator[nodes.section]:
 
 def add_trails(app: Sphinx, doctree: nodes.document, docname: str) -> None:
     """Put a trail under the page's statement, under its proof's heading, and under each heading of the tests."""
-    if app.builder.format != "html":
+    if app.builder.name != "html":
         return
     if docname == "book/checks":
         for section in sections(doctree, "test-"):
@@ -170,7 +170,7 @@ def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: di
 
 def write_previews(app: Sphinx, exception: Exception | None) -> None:
     """Collect the pages' statements in one file, from which links show them under the pointer."""
-    if exception or app.builder.format != "html":
+    if exception or app.builder.name != "html":
         return
     previews = {}
     for docname in sorted({docname_of(claim) for claim in CLAIMS} & app.env.found_docs):

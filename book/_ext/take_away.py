@@ -71,7 +71,7 @@ def place_notebook(app: Sphinx, pagename: str) -> str:
 
 def add_foot(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
     """Give the page its foot, and the theme's download button its notebook."""
-    if doctree is None or "body" not in context or not context.get("sourcename"):
+    if app.builder.name == "epub" or doctree is None or "body" not in context or not context.get("sourcename"):
         return
     source, notebook = context["sourcename"], ""
     if source.endswith(".ipynb"):

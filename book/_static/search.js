@@ -18,10 +18,11 @@
 
   Scorer.score = ([docname, title, anchor, description, score]) => {
     const section = title.split(" > ").at(-1);
-    let better = score + 4 * Math.log2(1 + times(textOf(docname, anchor)));
-    if (!description && titled(section)) better += anchor ? 40 : 100;
-    else if (!description && times(section)) better += anchor ? 10 : 30;
-    return LISTS.test(docname) && !description ? better - 20 : better;
+    const better = score + 4 * Math.log2(1 + times(textOf(docname, anchor)));
+    if (description) return better - 15;
+    if (titled(section)) return better + (anchor ? 40 : 100);
+    if (times(section)) return better + (anchor ? 10 : 30);
+    return LISTS.test(docname) ? better - 20 : better;
   };
 
   // Snippets come from the texts at hand; Sphinx would fetch every page for them.

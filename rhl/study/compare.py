@@ -121,7 +121,7 @@ class Score:
         Seconds of computation a step, those of identification included, over all seeds that ran together.
     seed : int
     noise : float
-        s.
+        Standard deviation s of the measurement errors, relative to the first outputs.
     bounded : float or None
         The bound of inputs, see ``rivals.pose``.
     failure : str
