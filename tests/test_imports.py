@@ -69,6 +69,7 @@ PAPER = [
     "paper.certified_samples",
     "paper.figures",
     "paper.drawings",
+    "paper.motion",
     "paper.claims",
     "paper.claims.claim",
     *(

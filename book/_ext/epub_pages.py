@@ -11,7 +11,7 @@ from sphinx.application import Sphinx
 # For the dark theme, for scripts, or for a pointer; an EPUB has none of them.
 ONLY_ON_THE_SITE = (
     ".only-dark, script, noscript, style, button, .rhl-explore, .rhl-live, .rhl-filter, .chain-choice, .headerlink, "
-    ".viewcode-link, .viewcode-back, .sd-octicon, .sd-summary-state-marker"
+    "animatetransform, .viewcode-link, .viewcode-back, .sd-octicon, .sd-summary-state-marker"
 )
 # HTML does not tell small letters from capitals in names of attributes and elements, and XML does.
 CAPITALS = ("viewBox", "markerWidth", "markerHeight", "refX", "refY", "patternUnits", "patternTransform", "clipPath")
