@@ -4,6 +4,8 @@
 (() => {
   const { load, short, element, slider, status, Chart, install } = rhlExplore;
 
+  const capital = (text) => text[0].toUpperCase() + text.slice(1);
+
   function pace(host, data) {
     const chart = new Chart({
       title: "size of the state |x|", log: true, height: 230, across: { from: 0, to: data.k.at(-1), name: "step k" },
@@ -83,7 +85,6 @@
       }
     }
 
-    const capital = (text) => text[0].toUpperCase() + text.slice(1);
     const percent = data.noises.map((share) => 100 * share);
     const noise = slider({
       words: "errors of the sensor, in % of the first outputs", symbol: "σ", count: percent.length, place: 0,
