@@ -79,7 +79,7 @@ __all__ = [
 ]
 __version__ = "0.1.0"
 
-# Where these names live. They are loaded when the first is asked for, so that `rhl --help` need not wait for numpy.
+# The module of each name. Names are loaded on first use, so that `rhl --help` does not wait for numpy.
 _HOMES = (
     *("closed_loop", "constraints", "controllability", "disturbances", "errors", "estimator", "horizon", "lifting"),
     *("live", "memory", "model", "plants", "schedules", "scheme", "simulation", "trace", "units"),
@@ -101,7 +101,7 @@ def __dir__() -> list[str]:
 
 class _Package(ModuleType):
     def __setattr__(self, name: str, value: object) -> None:
-        # The import of the module closed_loop binds it here, where the name is that of its function.
+        # Importing the module closed_loop binds its name here, where the function of the same name belongs.
         is_module = name == "closed_loop" and isinstance(value, ModuleType)
         super().__setattr__(name, vars(value)[name] if is_module else value)
 

@@ -1,4 +1,4 @@
-"""V1 with bounds on the inputs: the quadratic programme that remains where the free plan leaves them."""
+"""V1 with bounds on the inputs: the quadratic programme to solve where the free plan violates them."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import numpy as np
 from rhl._checks import Array
 from rhl.errors import NotFiniteError, NotSolvedError
 
-# What the interior-point method is asked for, and what it must reach: bounds kept to that share of their width, and the
-# cost of w to that share of what clipping costs. Its dual residual grows with the condition of the weights, so that it
-# says less.
+# The tolerance set for the interior-point method, and the one required: the violation of bounds relative to their
+# width, and the error in the cost of w relative to the cost of clipping. The dual residual is less informative, since
+# it grows with the condition number of the weights.
 _ASKED, _ACCEPTED, _ITERATIONS = 1e-10, 1e-7, 60
-# The active-set method stops where a step lowers the cost by less than that share; steps for each input of the plan.
+# The active-set method stops if a step lowers the cost by less than this share; its steps per input of the plan.
 _LOWERED, _STEPS = 1e-12, 20
 
 
 def inputs_within(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
-    r"""Return the inputs of the plan that costs least within the bounds, shape (N, q).
+    r"""Return the inputs of the optimal plan within the bounds, shape (N, q).
 
     With :math:`w_i = V_i (u_i + K_i x_i)` the cost is that of the free plan plus :math:`\sum_i |w_i|^2`, so that the
-    programme is to find the shortest w within the bounds. The recursion's K and V have shapes (N, q, n) and (N, q, q),
-    x is the state at its start, and the bounds of u_i, or of u_0 + ... + u_i where ``summed``, have shape (q,).
+    programme is to minimise the norm of w within the bounds. The recursion's K and V have shapes (N, q, n) and (N, q,
+    q), x is the state at its start, and the bounds of u_i, or of u_0 + ... + u_i where ``summed``, have shape (q,).
 
-    An interior-point method (PIQP) solves most problems in a millisecond. Where it does not reach its tolerance, or
-    what it finds does not cost what it says, an active-set method on the same least squares is asked as well (scipy's
-    BVLS): weights are far apart then, or the state grows so far that -K x and what is added to it cancel. The feedback
-    -K x, clipped, is a plan too; the one that costs least is returned.
+    An interior-point method (PIQP) solves most problems in a millisecond. If it misses its
+    tolerance, or its solution has another cost than reported, an active-set method (scipy's BVLS) solves the same least
+    squares too. This happens with widely different weights, or when the state grows so far that -K x and its correction
+    cancel. The clipped feedback -K x is another candidate; the plan of least cost is returned.
     """
     N, q = K.shape[:2]
     clipped = _clipped(A, B, K, x, low, high, summed)
@@ -51,7 +51,7 @@ def inputs_within(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, 
     G = (effect / width[:, None]).reshape(N * q, N * q)
     below, above = (((edge - free) / width).ravel() for edge in (low, high))
     w: Array | None = np.zeros(N * q)
-    # Counted in its own length, the solution is as accurate as the solver; the first length may be far too long.
+    # Scaled by its own norm, the solution is as accurate as the solver; the first norm may be far too large.
     while length > 0 and w is not None and np.all(np.isfinite(length * G)):
         before, w = length, _interior(np.asfortranarray(length * G), below, above)
         if w is not None:
@@ -72,7 +72,7 @@ def inputs_within(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, 
 
 
 def _cost(A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> float:
-    """Return what inputs cost more than the free plan, |w|^2."""
+    """Return the cost of inputs above that of the free plan, |w|^2."""
     total = 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         for gain, root, one in zip(K, V, u, strict=True):
@@ -82,13 +82,13 @@ def _cost(A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> float:
 
 
 def _kept(v: Array, low: Array, high: Array, summed: bool) -> Array:
-    """Bring what is bounded into its bounds, to the last bit, and return the inputs."""
+    """Clip the bounded quantities exactly, and return the inputs."""
     v = np.clip(v, low, high)
     return np.diff(v, axis=0, prepend=0.0) if summed else v
 
 
 def _clipped(A: Array, B: Array, K: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
-    """Return the feedback -K x, clipped, which keeps the bounds."""
+    """Return the clipped feedback -K x, which keeps the bounds."""
     total, u = np.zeros(len(low)), np.empty(K.shape[:2])
     with np.errstate(over="ignore", invalid="ignore"):
         for i, gain in enumerate(K):
@@ -98,7 +98,7 @@ def _clipped(A: Array, B: Array, K: Array, x: Array, low: Array, high: Array, su
 
 
 def _interior(G: Array, below: Array, above: Array) -> Array | None:
-    """Return the shortest w with below <= G w <= above, or None where the tolerance was not reached."""
+    """Return the shortest w with below <= G w <= above, or None if the tolerance was not reached."""
     solver = _piqp().DenseSolver()
     settings, size = solver.settings, G.shape[1]
     for name in ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"):
@@ -112,8 +112,8 @@ def _interior(G: Array, below: Array, above: Array) -> Array | None:
 
 
 def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, high: Array, summed: bool) -> Array:
-    """Return the same inputs, from w as a function of what is bounded."""
-    from scipy.optimize import lsq_linear  # here, because few plans come this far
+    """Return the same inputs by an active-set method, with w as a function of the bounded quantities."""
+    from scipy.optimize import lsq_linear  # imported here, because few plans need it
 
     N, q = K.shape[:2]
     of, offset = np.empty((N, q, N * q)), np.empty((N, q))
@@ -128,7 +128,7 @@ def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, hi
     found = lsq_linear(matrix, target, bounds, method="bvls", tol=_LOWERED, max_iter=steps)
     if found.status == 0:
         raise NotSolvedError(
-            f"the plan within the bounds of the input must be found in {steps} active-set steps, got none; "
+            f"the plan within the input bounds must be found in {steps} active-set steps, got none; "
             "shorten the horizon, or leave the bounds to the actuator"
         )
     return _kept(found.x.reshape(N, q), low, high, summed)
@@ -136,6 +136,6 @@ def _active_set(A: Array, B: Array, K: Array, V: Array, x: Array, low: Array, hi
 
 @cache
 def _piqp() -> Any:
-    import piqp  # here, because it is needed where a bound is active only
+    import piqp  # imported here, because it is needed only if a bound is active
 
     return piqp

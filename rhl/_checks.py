@@ -1,6 +1,6 @@
-"""The one place that checks what callers pass and words the errors.
+"""Checks of the values that callers pass, and the wording of their errors.
 
-Every message is one sentence that names the offender, what was expected and what was found.
+Every message is one sentence that names the argument, the expected value and the value found.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from rhl.errors import InputError, NotFiniteError
 
 Array = NDArray[np.float64]
 
-# A matrix read from text keeps 15 digits or more; an asymmetry above this is meant, not rounding.
+# A matrix read from text keeps 15 digits or more; an asymmetry above this is not rounding.
 _SYMMETRY_RTOL = 1e-12
 
 
 def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None = None) -> Array:
-    """Copy to a read-only float64 array; refuse what is ragged, not real, not finite, or of another trailing shape.
+    """Copy to a read-only float64 array; refuse ragged, complex and non-finite values and other trailing shapes.
 
-    In the shape None stands for any length of at least one; further axes may lead. What is not finite raises
-    NotFiniteError, all else InputError.
+    In the shape None stands for any length of at least one; further axes may lead. NotFiniteError if an
+    entry is not finite, otherwise InputError.
     """
     try:
         raw = np.asarray(value)
-    except Exception as error:  # ragged, or whatever an object's own conversion raises
+    except Exception as error:  # a ragged list, or any error of the object's own conversion
         raise InputError(f"{name} must be a rectangular array of numbers, got {describe(value)}") from error
     if raw.dtype.kind not in "iuf":
         raise InputError(f"{name} must hold real numbers, got {_kind(raw, value)}")
     if np.ma.is_masked(value):
         raise InputError(f"{name} must hold a number in every entry, got masked entries; fill them in")
-    with np.errstate(over="ignore"):  # what is too large for float64 becomes infinite, and is refused below
+    with np.errstate(over="ignore"):  # values too large for float64 become infinite, and are refused below
         array = np.array(raw, dtype=np.float64, order="C", subok=False)
     if shape is not None:
         fits = array.ndim >= len(shape) and all(
@@ -51,21 +51,21 @@ def real_array(name: str, value: ArrayLike, shape: tuple[int | None, ...] | None
 
 
 def numbers(value: Any) -> Array:
-    """Return what a user's function returned as float64, NaN and infinity included.
+    """Return the result of a user's function as float64, including NaN and infinity.
 
-    TypeError or ValueError if it holds complex numbers, which numpy would cut down to the real part, strings, which it
-    would read, or None.
+    TypeError or ValueError for complex numbers, whose imaginary part numpy would drop, strings, which it would parse,
+    and None.
     """
     raw = np.asarray(value)
     if raw.dtype.kind not in "iufO":
         raise TypeError(f"real numbers are needed, not {_kind(raw, value)}")
-    # One by one, because numpy takes None for NaN.
+    # One by one, because numpy converts None to NaN.
     with np.errstate(over="ignore"):
         return np.asarray(raw if raw.dtype.kind != "O" else np.frompyfunc(float, 1, 1)(raw), dtype=np.float64)
 
 
 def read_only(array: ArrayLike) -> Array:
-    """Copy to a read-only float64 array, unchecked: for what the library itself has computed."""
+    """Copy a result of the library to a read-only float64 array, without checks."""
     copy = np.array(array, dtype=np.float64)
     copy.flags.writeable = False
     return copy
@@ -80,9 +80,9 @@ def square(name: str, value: ArrayLike) -> Array:
 
 
 def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
-    """Check a symmetric positive definite weight, shape (..., n, n); a number is that times the identity.
+    """Check a symmetric positive definite weight, shape (..., n, n); a number stands for that multiple of the identity.
 
-    What is returned is symmetric to the last bit.
+    The result is exactly symmetric.
     """
     array = real_array(name, value)
     if array.ndim == 0:
@@ -90,13 +90,13 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
     if array.ndim < 2 or array.shape[-2:] != (n, n) or array.size == 0:
         raise InputError(f"{name} must be a number or a matrix of shape ({n}, {n}), got shape {_shape(array.shape)}")
     transposed = array.swapaxes(-1, -2)
-    # Each member of a batch is judged by its own size.
+    # Each member of a batch is checked relative to its own size.
     largest = np.max(np.abs(array), axis=(-1, -2), keepdims=True)
     scaled = array / np.where(largest > 0, largest, 1.0)
     if np.max(np.abs(scaled - scaled.swapaxes(-1, -2))) > _SYMMETRY_RTOL:
         gap = np.max(np.abs(scaled - scaled.swapaxes(-1, -2)) * largest)
         raise InputError(f"{name} must be symmetric, got entries that differ from their mirror by {gap:.3g}")
-    # Halves of the smallest numbers there are would be zero.
+    # Half of the smallest positive number would round to zero.
     array = np.where(array == transposed, array, array / 2 + transposed / 2)
     try:
         np.linalg.cholesky(array)
@@ -109,7 +109,7 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
 
 
 def common_batch(**arrays: tuple[Array, int]) -> tuple[int, ...]:
-    """Return the leading batch axes of arrays, each given with the number of its trailing axes that are none."""
+    """Return the common batch axes of arrays, each given with the number of its other, trailing axes."""
     try:
         return np.broadcast_shapes(*(M.shape[: M.ndim - core] for M, core in arrays.values()))
     except ValueError:
@@ -136,7 +136,7 @@ def fraction(name: str, value: Any) -> float:
 
 def _in_range(name: str, value: Any, low: float, high: float, wanted: str, *, open_low: bool) -> float:
     number = isinstance(value, Real) and not isinstance(value, bool)
-    # NaN fails every comparison, so it is refused by the same line.
+    # NaN fails every comparison, so this line refuses it too.
     if not number or not ((low < value if open_low else low <= value) and value < high):
         raise InputError(f"{name} must be {wanted}, got {describe(value)}")
     try:
@@ -146,20 +146,20 @@ def _in_range(name: str, value: Any, low: float, high: float, wanted: str, *, op
 
 
 def choice(name: str, value: Any, options: Sequence[str]) -> None:
-    """Check that a value is one of some words."""
+    """Check that a value is one of the options."""
     if not (isinstance(value, str) and value in options):
         raise InputError(f"{name} must be one of {', '.join(options)}, got {describe(value)}")
 
 
 def instance(name: str, value: Any, *kinds: type) -> None:
-    """Check that a value is of one of some classes."""
+    """Check that a value is an instance of one of the classes."""
     if not isinstance(value, kinds):
         wanted = " or a ".join(kind.__name__ for kind in kinds)
         raise InputError(f"{name} must be a {wanted}, got {describe(value)}")
 
 
 def members(name: str, value: Any, kind: str, *needed: str) -> None:
-    """Check that a value has the members of what it is to be."""
+    """Check that a value has the required members."""
     missing = [member for member in needed if not hasattr(value, member)]
     if missing:
         raise InputError(f"{name} must be {kind}, got {describe(value)} without {missing[0]}")
@@ -175,10 +175,10 @@ def _kind(raw: NDArray[Any], value: Any) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """Return what an error of a user's function says, on one line of at most 200 characters, for a message."""
+    """Return an error of a user's function on one line of at most 200 characters, for a message."""
     try:
         said = " ".join(str(error).split())
-    except Exception:  # an exception of the user's own may fail at this too
+    except Exception:  # a user's own exception may fail at this too
         said = ""
     said = said if said.isprintable() else ascii(said)
     text = f"{type(error).__name__}: {said}" if said else type(error).__name__
@@ -186,7 +186,7 @@ def reason(error: BaseException) -> str:
 
 
 def shown(path: object) -> str:
-    """Return a file's name for a message: as it is if it prints on one line, else quoted; shortened beyond 200."""
+    """Return a file's name for a message: quoted if it does not print on one line, at most 200 characters."""
     text = str(path) if isinstance(path, (str, PurePath)) else describe(path)
     text = text if text.isprintable() else ascii(text)
     return text if len(text) <= 200 else f"{text[:197]}..."
@@ -196,7 +196,7 @@ def describe(value: Any) -> str:
     """Return a value on one line of at most 60 characters, for a message."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # an object of the user's, or an integer of too many digits
+    except Exception:  # a user's own object, or an integer with too many digits
         text = f"a {type(value).__name__} that cannot be shown"
     text = text if text.isprintable() else ascii(text)
     return text if len(text) <= 60 else f"{text[:57]}..."

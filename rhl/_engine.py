@@ -16,12 +16,12 @@ from rhl.scheme import Scheme
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Some members of a batch, in lanes.
+    """A block of members of a batch, in lanes.
 
-    ``plant`` holds [F G] and [H 0], without rows where the plant is the caller's, and z, shape (n + q, lanes), the
-    linear plant's state with the input below it. ``state`` holds x, u, v(k-1) and theta~(k-1), see
-    ``rhl.kernels.loops``; ``estimator`` and ``controller`` hold what the kernel needs of the scheme. ``diverged_at``,
-    shape (lanes,), is the step at which a lane left the range of float64, else -1.
+    ``plant`` holds [F G] and [H 0], without rows for a plant of the caller, and z, shape (n + q, lanes), the
+    linear plant's state, then the input. ``state`` holds x, u, v(k-1) and theta~(k-1), see
+    ``rhl.kernels.loops``; ``estimator`` and ``controller`` hold the parts of the scheme that the kernel needs.
+    ``diverged_at``, shape (lanes,), is the step at which a lane left the range of float64, else -1.
     """
 
     members: slice
@@ -34,11 +34,11 @@ class Block:
 
 
 def serves(scheme: Scheme) -> bool:
-    """Whether the compiled loop runs it: squares, no constraints, constant mixing, a weight that grows with k, no more.
+    """Whether the compiled loop can run a scheme: squares, no constraints, constant mixing, a weight that grows with k.
 
-    Bounds, set points and running units are not in it.
+    It has no bounds, set points or running units.
     """
-    # Only these classes themselves: what is derived from them may do otherwise.
+    # Only these classes themselves, since a subclass may behave differently.
     own = type(scheme.lifting) is DelayLifting and type(scheme.mixing) is ConstantMixing
     controller = scheme.controller
     more = (controller.bounds, scheme.set_point, scheme.units)
@@ -48,7 +48,7 @@ def serves(scheme: Scheme) -> bool:
 def begin(scheme: Scheme, lead: tuple[int, ...], plant: tuple[Array, Array, Array] | None, z: Array) -> list[Block]:
     """Return the blocks of a batch with axes ``lead`` before k = 0, for a scheme that the compiled loop serves.
 
-    ``plant`` is F, G, H, with batch axes or without, or None where the plant is the caller's; z, shape (..., n), is
+    ``plant`` is F, G, H, with batch axes or without, or None for a plant of the caller; z, shape (..., n), is
     z(0).
     """
     model, controller, q = scheme.initial_model, scheme.controller, scheme.q
@@ -88,11 +88,11 @@ def run(
 ) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
     """Run a block for as many steps as there are values of epsilon, from step ``first``.
 
-    ``lifted``, shape (steps, n, lanes), is x(k) where the plant is the caller's, else None. Returns (y, v, z), shapes
-    (steps, size, lanes), without entries in y and z where the plant is the caller's; and theta*(k) and theta~(k),
+    ``lifted``, shape (steps, n, lanes), is x(k) for a plant of the caller, else None. Returns (y, v, z), shapes
+    (steps, size, lanes), without entries in y and z for a plant of the caller; and theta*(k) and theta~(k),
     shapes (steps, n, n + q, lanes), without steps unless ``keep``.
     """
-    from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+    from rhl.kernels import loops  # imported here, because loading the compiler takes longer than the rest
 
     steps, lanes, plant, theta = len(epsilon), len(block.diverged_at), block.plant, block.state[3]
     known = len(plant[0]) > 0

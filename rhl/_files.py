@@ -12,7 +12,7 @@ from pathlib import Path
 from rhl._checks import shown
 from rhl.errors import InputError
 
-# What a process has open, by a path: it may be a file, and replacing that would leave what is open without a name.
+# Paths of open descriptors: one may be a file, and replacing it would detach the open descriptor from its name.
 _OPEN = re.compile(r"/(dev|dev/fd|proc/[^/]+/fd)/[^/]+")
 
 
@@ -44,9 +44,9 @@ def table_text(columns: Mapping[str, Iterable[float]]) -> str:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether what a path names is written into, not replaced: a device, a pipe, what a process has open.
+    """Whether a path is written into instead of replaced: a device, a pipe, an open descriptor.
 
-    OSError if it cannot be found out, as of links in a circle.
+    OSError if this cannot be determined, for instance with circular links.
     """
     try:
         mode = path.stat().st_mode
@@ -56,9 +56,9 @@ def is_stream(path: Path) -> bool:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes, *, new: bool = False) -> None:
-    """Write a file so that no reader ever sees half of it, text as UTF-8; InputError if it cannot be written.
+    """Write a file at once, so that no reader sees a part of it, text as UTF-8; InputError if it cannot be written.
 
-    ``new``: what has come to stand there is not written over either; InputError.
+    ``new``: InputError if the file exists by now.
     """
     data = content.encode() if isinstance(content, str) else content
     try:
@@ -66,9 +66,9 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes, *, new: bool
             with Path(path).open("ab") as file:
                 file.write(data)
             return
-        target = Path(path).resolve()  # through a link to what it names
+        target = Path(path).resolve()  # follow links
         if target.exists() and not new and not os.access(target.parent, os.W_OK):
-            # A file in a folder that takes no new ones: there is nothing to rename over it.
+            # The folder accepts no new file, so there is none to rename; the file itself is written.
             with target.open("wb") as file:
                 file.write(data)
             return
@@ -92,12 +92,12 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes, *, new: bool
 
 
 def _put_new(name: str, target: Path) -> None:
-    """Give a file that is whole another name; FileExistsError if there is one of that name."""
+    """Rename a complete file; FileExistsError if the name is taken."""
     try:
         os.link(name, target)
     except FileExistsError:
         raise
-    except OSError:  # a file system without such links: an empty file, for the moment until it is replaced
+    except OSError:  # a file system without hard links: an empty file takes the name until it is replaced
         os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         os.replace(name, target)
     else:

@@ -1,4 +1,4 @@
-"""Batches as the kernels take them: their axes flattened into lanes, which come last."""
+"""Batches in the layout of the kernels: batch axes flattened into lanes, which come last."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from rhl._checks import Array
 
-# As many lanes at once as fill a processor's registers and let a stage stay in its cache; measured, see benchmarks/.
+# Enough lanes to fill a processor's registers, few enough for a stage to stay in its cache; measured in benchmarks/.
 LANES = 64
 
 
@@ -32,6 +32,6 @@ def from_lanes(lanes: Array, lead: tuple[int, ...]) -> Array:
 
 
 def blocks(members: int) -> Iterator[slice]:
-    """Yield the slices of at most ``LANES`` members that make up a batch."""
+    """Yield slices of at most ``LANES`` members that cover a batch."""
     for first in range(0, members, LANES):
         yield slice(first, min(first + LANES, members))

@@ -1,4 +1,4 @@
-"""The recursion behind V1, V2 and V3 for batches of any shape, and the shortest way to a terminal state."""
+"""The recursion behind V1, V2 and V3 for batches of any shape, and the least-norm input to a terminal state."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from rhl._checks import Array
 from rhl._lanes import blocks, from_lanes, to_lanes
 
-# A direction counts as steerable if its gain exceeds this share of what it was computed from; 1e3 roundings.
+# A direction is controllable if its gain exceeds this share of the numbers it was computed from; 1e3 roundings.
 _RANK_RTOL = 1e-13
 _EPS = np.finfo(np.float64).eps
 
 
 def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizon: int) -> tuple[Array, Array, Array]:
-    r"""Take the Riccati recursion back over a horizon N, in square-root form.
+    r"""Run the Riccati recursion backwards over a horizon N, in square-root form.
 
     .. math:: |S' x|^2 = \min_u |Q^{1/2} x|^2 + |R^{1/2} u|^2 + |S (A x + B u)|^2
 
@@ -26,11 +26,11 @@ def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizo
     K : array, shape (..., N, q, n)
         The minimiser at stage i is u = -K_i x.
     V : array, shape (..., N, q, q)
-        What another input costs: |V_i (u + K_i x)|^2 more.
+        Another input increases the cost by |V_i (u + K_i x)|^2.
     S : array, shape (..., n, n)
         Upper factor of the cost to go before the first stage.
     """
-    from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+    from rhl.kernels import loops  # imported here, because loading the compiler takes longer than the rest
 
     arrays = (S, A, B, Q_factor, R_factor)
     lead = np.broadcast_shapes(*(M.shape[:-2] for M in arrays))
@@ -47,7 +47,7 @@ def gains(S: Array, A: Array, B: Array, Q_factor: Array, R_factor: Array, horizo
 
 
 def rollout(A: Array, B: Array, K: Array, push: Array, x: Array) -> tuple[Array, Array]:
-    """Follow u_i = push_i - K_i x_i from x; return u, shape (..., N, q), and x_0 ... x_N, shape (..., N+1, n).
+    """Simulate u_i = push_i - K_i x_i from x; return u, shape (..., N, q), and x_0 ... x_N, shape (..., N+1, n).
 
     A and B, shapes (..., n, n) and (..., n, q), are one stage's step; K has shape (..., N, q, n), push (..., N, q), and
     x, the start, (..., n).
@@ -64,12 +64,12 @@ def rollout(A: Array, B: Array, K: Array, push: Array, x: Array) -> tuple[Array,
 
 
 def truncated_min_norm(steering: Array, wanted: Array, noise: Array) -> Array:
-    """Return the shortest w that brings ``steering`` @ w as near to ``wanted`` as it can be, shape (..., columns).
+    """Return the least-norm w that minimises |``steering`` @ w - ``wanted``|, shape (..., columns).
 
-    ``steering``, shape (..., rows, columns), is how the terminal state follows w, ``wanted``, shape (..., rows), what
-    it is to be, and ``noise``, shape (..., columns), for each column the size of the products it was computed from. A
-    direction counts as steerable if its singular value exceeds their rounding, which reaches it through the columns
-    that it uses, and that of the decomposition: a column of zeros has no rounding of its own.
+    ``steering``, shape (..., rows, columns), maps w to the terminal state, ``wanted``, shape (..., rows), is its
+    target, and ``noise``, shape (..., columns), is the size of the products that each column was computed from. A
+    direction counts as controllable if its singular value exceeds the rounding of the columns that it uses and that of
+    the decomposition. A column of zeros has no rounding error.
     """
     left, size, right = np.linalg.svd(steering, full_matrices=False)
     of_columns = _RANK_RTOL * np.linalg.norm(noise[..., None, :] * right, axis=-1)

@@ -1,4 +1,4 @@
-"""Functions of the stacked outputs that a lifting appends: polynomials, single terms, and the user's own."""
+"""Functions of the stacked outputs that a lifting appends: polynomials, single terms, and functions of your own."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, describe, integer, numbers, reason
 from rhl.errors import InputError
 
-# More features than this make a model that no window can inform and no solver handle.
+# With more features no window determines the model, and no solver handles it.
 _MOST = 2000
 
 
@@ -35,7 +35,7 @@ class Basis(Protocol):
 class Polynomials:
     """All monomials of degree 2 to ``degree`` in the entries of the stacked outputs.
 
-    The degree is at least 2; degree 1 is what every lifting has. Source: Remark 3, Carleman's embedding;
+    The degree is at least 2, since every lifting has degree 1. Source: Remark 3, Carleman's embedding;
     ``rhl.paper.claims`` checks that the paper's example of it is exact.
 
     Examples
@@ -77,9 +77,9 @@ _FACTOR = re.compile(
 class Terms:
     """Single products of outputs, written as strings: ``"y1*y2"``, ``"y1^3"``, ``"y1*y2(k-1)"``, ``"sin(y1)"``.
 
-    A factor is an output ``y1``, ``y2``, ... with an optional delay ``(k-1)``, under sin or tanh if wished, and with an
-    optional integer exponent. InputError if a string is no such product, uses an input (``v1``), or is not zero at
-    zero. Inputs may not be used: the scheme reads v(k) off u(k), and equation (14) keeps outputs and inputs apart.
+    A factor is an output ``y1``, ``y2``, ... with an optional delay ``(k-1)``, optionally inside sin or tanh, and with
+    an optional integer exponent. InputError if a string is not such a product, uses an input (``v1``), or is not zero
+    at zero. Inputs are not allowed: the scheme reads v(k) off u(k), and equation (14) keeps outputs and inputs apart.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class Terms:
         if len(self.texts) > _MOST:
             raise InputError(f"texts must be at most {_MOST} products, got {len(self.texts)}")
         for text, factors in zip(self.texts, self._factors, strict=True):
-            # A factor that does not vanish at zero may stand beside one that does.
+            # A factor that does not vanish at zero is allowed in a product with one that does.
             if all(function == "cos" or function == "exp" for function, *_ in factors):
                 raise InputError(
                     f"{text!r} must be zero where the outputs are, so that x can go to zero, got a value "
@@ -108,7 +108,7 @@ class Terms:
         return [[_factor(text, part) for part in _split(text)] for text in self.texts]
 
     def count(self, p: int, outputs: int) -> int:
-        """Return how many terms there are, after a look at the outputs that they name."""
+        """Return the number of terms, after a check of the outputs that they name."""
         for text, factors in zip(self.texts, self._factors, strict=True):
             for _, index, delay, _ in factors:
                 if index > p or delay >= outputs:
@@ -133,7 +133,7 @@ class Terms:
 def _split(text: object) -> list[str]:
     if not isinstance(text, str) or not text.strip() or len(text) > 200:
         raise InputError(f"a term must be a string such as 'y1*y2' of at most 200 characters, got {describe(text)}")
-    # Inside a factor a space may not stand between digits: "y1 2" is no y12.
+    # Spaces between digits are not allowed: "y1 2" is not y12.
     return re.sub(r"\s*([-*^()])\s*", r"\1", text.strip()).split("*")
 
 
@@ -159,17 +159,17 @@ def _factor(text: str, part: str) -> tuple[str, int, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Functions of the user's own.
+    """Functions of your own.
 
-    InputError if ``function`` does not take one argument; later, if it returns another shape, or is not zero at zero.
-    What it raises itself is let through, with a note where it was called.
+    InputError if ``function`` does not take one argument, and later if it returns another shape or is not zero at zero.
+    Its own exceptions pass through, with a note about the call.
 
     Parameters
     ----------
     function : callable
         The stacked outputs w(k), shape (N_y p,) -> phi(w), shape (size,); zero at w = 0.
     size : int
-        How many numbers it returns.
+        The number of values that it returns.
     """
 
     function: Callable[[Array], ArrayLike]
@@ -189,10 +189,10 @@ class Features:
                 "delay-lifted, because v(k) has to be read off u(k)"
             ) from error
         except ValueError:
-            pass  # a built-in function has no signature to look at
+            pass  # a built-in function has no signature to check
 
     def count(self, p: int, outputs: int) -> int:
-        """Return ``size``, after a look at the function at zero."""
+        """Return ``size``, after a check of the function at zero."""
         at_zero = self.features(np.zeros(p * outputs), p)
         if np.any(at_zero != 0):
             raise InputError(
@@ -214,7 +214,7 @@ class Features:
             raise
         try:
             row = numbers(found)
-        except Exception as error:  # whatever an object's own conversion raises
+        except Exception as error:  # any error of the object's own conversion
             raise InputError(
                 f"function must take stacked outputs of shape {w.shape} and return {self.size} real numbers, "
                 f"got {reason(error)}"

@@ -24,18 +24,18 @@ from rhl.problems import V1
 from rhl.scheme import Scheme
 from rhl.tracking import seen
 
-# A first output that is this much smaller than the next was small by chance, and is no size to count in.
+# A first output that is this much smaller than the next was small by chance, and is not used as a scale.
 _CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class ControllerState:
-    """What the scheme carries from one step to the next.
+    """The state of the scheme between two steps.
 
     Attributes
     ----------
     k : int
-        The step about to be taken.
+        The next step.
     y, v : array, shapes (..., T, p) and (..., T, q)
         y(k-1), y(k-2), ... and v(k-1), v(k-2), ..., as applied; zero before k = 0.
     model : SignalModel
@@ -45,7 +45,7 @@ class ControllerState:
     value : array, shape (...), or None
         V1 at k-1, where the weight is adaptive.
     size : array, shape (..., p), or None
-        The largest of each output before k, where weights count in running units; its distance from a set point.
+        The largest absolute value of each output, or of its distance from a set point, before k, with running units.
     data : array, shape (..., n + N_v q, 2 n + N_v q), or None
         The memory of ``GrowingMemory`` before k.
     """
@@ -71,15 +71,15 @@ class Step:
     Attributes
     ----------
     scheme : Scheme
-        What was chosen beforehand.
+        The scheme.
     state : ControllerState
-        What the step started from; ``step(scheme, state, y)`` takes it again.
+        The state before the step; ``step(scheme, state, y)`` repeats it.
     y : array, shape (..., p)
-        Output measured.
+        Measured output.
     v_computed : array, shape (..., q)
-        Input computed, ``plan.u[..., 0, :]``; with a set point that is its increment.
+        Computed input, ``plan.u[..., 0, :]``; with a set point that is its increment.
     v_applied : array, shape (..., q)
-        Input applied: the one computed, unless an actuator changed it.
+        Applied input: the computed one, unless an actuator changed it.
     estimate : SignalModel
         theta*(k), the minimiser of equation (15).
     model : SignalModel
@@ -87,9 +87,9 @@ class Step:
     lam : array, shape (...)
         lambda_k.
     stage : array of int, shape (...)
-        What epsilon was taken at: k, or the stage j(k) of an adaptive weight.
+        The argument of epsilon: k, or the stage j(k) of an adaptive weight.
     z : array, shape (..., n), or None
-        The plant's state z(k), where there is a plant.
+        The plant's state z(k), if there is a plant.
     size, data : array or None
         Those of ``ControllerState`` with y(k) and the transition to k.
     """
@@ -118,7 +118,7 @@ class Step:
 
     @cached_property
     def y_hat(self) -> Array:
-        """Prediction of y(k) made at k-1, the first entries of A x(k-1) + B u(k-1); y(0) at k = 0."""
+        """The prediction of y(k) made at k-1: the first entries of A x(k-1) + B u(k-1); y(0) at k = 0."""
         if self.k == 0:
             return self.y
         scheme, lifting, state = self.scheme, self.scheme.lifting, self.state
@@ -130,12 +130,12 @@ class Step:
 
     @property
     def used(self) -> SignalModel:
-        """The model that the controller used: theta~(k), or theta~(k-1) where it lags."""
+        """The model that the controller used: theta~(k), or theta~(k-1) with model_delay = 1."""
         return self.centre if self.scheme.controller.model_delay else self.model
 
     @property
     def centre(self) -> SignalModel:
-        """The proximal centre theta~(k-1); at k = 0, and where an output is first seen, what the initial model says."""
+        """The proximal centre theta~(k-1); the initial model at k = 0 and where an output is first nonzero."""
         return centre_of(self.scheme, self.k, self.state.model, self.state.size, self.size)
 
     @property
@@ -144,7 +144,7 @@ class Step:
 
     @cached_property
     def problem(self) -> V1:
-        """What was solved at k, equation (3) for the augmented model."""
+        """The problem solved at k, equation (3) for the augmented model."""
         scheme = self.scheme
         before = None if scheme.set_point is None else self.state.v[..., 0, :]
         model = scheme.lifting.augment(self.used)
@@ -157,9 +157,9 @@ class Step:
 
     @cached_property
     def plan(self) -> Plan:
-        """Its solution, worked out when asked for; ``plan.x[..., 0, :]`` is the augmented state X(k).
+        """The solution of that problem, computed on access; ``plan.x[..., 0, :]`` is the augmented state X(k).
 
-        With a set point, ``plan.u`` are increments of the input, and ``plan.x`` counts outputs from it.
+        With a set point, ``plan.u`` are increments of the input, and outputs in ``plan.x`` are distances from it.
         """
         return solve(self.problem, self._augmented_state)
 
@@ -187,10 +187,10 @@ def start(scheme: Scheme) -> ControllerState:
 
 
 def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, size: Array | None) -> SignalModel:
-    """Return the proximal centre at k: theta~(k-1), or what the initial model says of outputs in the sizes seen now.
+    """Return the proximal centre at k: theta~(k-1), or the initial model scaled by the sizes at k.
 
-    The latter where an output is seen for the first time, since before it had no size, or was small by chance as long
-    as nothing was remembered. ``before`` and ``size``, shape (..., p), are the sizes before k and at k.
+    The latter applies if an output is nonzero for the first time and had no size before, or if its size was small by
+    chance while the memory was empty. ``before`` and ``size``, shape (..., p), are the sizes before k and at k.
     """
     units = scheme.units
     if units is None or size is None or not units.model_in_sizes:
@@ -217,7 +217,7 @@ def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | 
 
 
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
-    """Return the memory of ``GrowingMemory`` at k; nothing is remembered while zeros from before k = 0 are lifted."""
+    """Return the memory of ``GrowingMemory`` at k; it stays empty while zeros from before k = 0 are lifted."""
     estimator = scheme.estimator
     assert isinstance(estimator, GrowingMemory)
     assert state.data is not None
@@ -227,7 +227,7 @@ def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Ar
 
 
 def proximal_centre(scheme: Scheme, previous: SignalModel) -> SignalModel:
-    """Return the centre of the estimator's step: theta~(k-1), or with a family of models the initial one at every k."""
+    """Return the centre of the estimator's step: theta~(k-1), or the initial model if there is a family."""
     return previous if scheme.family is None else scheme.initial_model
 
 
@@ -237,7 +237,7 @@ def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data:
     assert family is not None
     assert isinstance(estimator, GrowingMemory)
     assert before is not None
-    # Which one was used at k-1 follows from what was remembered then.
+    # The member used at k-1 follows from the memory at that step.
     earlier = estimator.minimise(scheme.initial_model, before)
     current = family.nearest(state.model, earlier, estimator.spread(before))
     current = np.broadcast_to(current, estimate.A.shape[:-2])
@@ -247,8 +247,8 @@ def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data:
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme, from the measured y(k), shape (..., p), to v(k).
 
-    The state is from ``start`` or ``advance``. InputError if y has another size, or a function of the user's own
-    misbehaves.
+    The state is from ``start`` or ``advance``. InputError if y has another size, or a user's function returns
+    an invalid value.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
         estimate = estimator.minimise(proximal_centre(scheme, centre), data, counted)
     else:
         estimate = estimator.minimise(centre, x, u, state.k, counted)
-    if estimate.A.shape[:-2] != lead:  # nothing is remembered yet, so that no member differs from another
+    if estimate.A.shape[:-2] != lead:  # the memory is empty, so all members agree
         estimate = SignalModel(*(np.broadcast_to(M, (*lead, *M.shape[-2:])) for M in (estimate.A, estimate.B)))
     lam = chosen(scheme.mixing, estimate, centre, lifting.augment)
     model = estimate.mix(centre, lam) if scheme.family is None else _member(scheme, state, estimate, cast(Array, data))
@@ -306,7 +306,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
             weight = real_array("weight", controller.weight(counts, stage))
             v = first_input(used, factors, controller.horizon, weight, X)
         v = v if before is None else before + v
-        # The solver keeps bounds to its tolerance, an actuator to the last bit.
+        # The solver keeps bounds up to its tolerance, an actuator exactly.
         return v if controller.bounds is None else controller.bounds(state.k, v)
 
     v = planned(stage)
@@ -321,7 +321,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
 
 
 def advance(scheme: Scheme, done: Step, v: ArrayLike | None = None) -> ControllerState:
-    """Return the state for k+1, given the step at k and the input that counts as applied, ``done.v_applied`` or v."""
+    """Return the state for k+1, given the step at k and the applied input, ``done.v_applied`` or v."""
     instance("scheme", scheme, Scheme)
     instance("done", done, Step)
     applied = done.v_applied if v is None else real_array("v", v, (scheme.q,))
@@ -344,29 +344,28 @@ def closed_loop(
     load: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Iterator[Step]:
-    """Run the scheme on a plant and yield a step for each k = 0, 1, ..., as long as the caller asks for them.
+    """Run the scheme on a plant and yield a step for each k = 0, 1, ..., without end.
 
-    ``rhl.simulate`` is the faster way to many steps.
+    ``rhl.simulate`` is faster for many steps.
 
     Parameters
     ----------
     scheme : Scheme
     plant : Plant
-        Unknown to the scheme but for the sizes of y and v.
+        Unknown to the scheme, except for the sizes of y and v.
     z0 : array_like, shape (..., n)
         Initial state z(0); leading axes run that many loops at once.
     sensor, actuator : callable or tuple of callables, optional
-        (k, y) -> the output as it is measured, and (k, v) -> the input as it is applied, see ``rhl.disturbances``.
+        (k, y) -> the measured output, and (k, v) -> the applied input, see ``rhl.disturbances``.
     load : callable or tuple of callables, optional
-        (k, v) -> what reaches the plant of the input applied; the scheme is never told.
+        (k, v) -> the input that reaches the plant, given the applied input; unknown to the scheme.
     applied_known : bool
-        Whether the scheme remembers the input that was applied (as whoever knows the actuator can), or the one that it
-        computed.
+        Whether the scheme records the applied input, which a known actuator permits, or the computed one.
 
     Raises
     ------
     InputError
-        If z0 does not fit the plant, the plant's sizes do not fit the scheme, or a disturbance misbehaves.
+        If z0 does not fit the plant, the plant does not fit the scheme, or a disturbance returns an invalid value.
     DivergedError
         If a number leaves the range of float64, in any member of a batch.
     """
@@ -375,7 +374,7 @@ def closed_loop(
 
 
 def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
-    """Check what a loop is made of; return z(0) with the batch axes that a linear plant brings."""
+    """Check the parts of a loop; return z(0) with the batch axes of a linear plant."""
     instance("scheme", scheme, Scheme)
     check_plant(plant)
     if not isinstance(applied_known, bool):
@@ -391,7 +390,7 @@ def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool)
 
 
 def output(plant: Plant, z: Array, k: int) -> Array:
-    """Return the plant's output, which must be finite; DivergedError where it is not."""
+    """Return the plant's output, which must be finite; DivergedError if it is not."""
     y = measured(plant, z)
     if not np.all(np.isfinite(y)):
         raise DivergedError(k, "the plant's output is no longer finite")
@@ -399,7 +398,7 @@ def output(plant: Plant, z: Array, k: int) -> Array:
 
 
 def measured(plant: Plant, z: Array) -> Array:
-    """Return the plant's output, finite or not; InputError where it is not p real numbers."""
+    """Return the plant's output, finite or not; InputError if it is not p real numbers."""
     y = _real("output", plant.output(z))
     if y.shape[-1:] != (plant.p,) or y.ndim < z.ndim:
         raise InputError(f"the plant's output must have shape (..., {plant.p}) for states {z.shape}, got {y.shape}")
@@ -407,7 +406,7 @@ def measured(plant: Plant, z: Array) -> Array:
 
 
 def moved(plant: Plant, z: Array, v: Array) -> Array:
-    """Return the plant's next state, finite or not; InputError where it has another shape than the state."""
+    """Return the plant's next state, finite or not; InputError if its shape is not that of the state."""
     with np.errstate(over="ignore", invalid="ignore"):
         after = _real("step", plant.step(z, v))
     if after.shape != z.shape:
@@ -443,15 +442,15 @@ def _run(
 
 
 def replay(scheme: Scheme, y: ArrayLike, v: ArrayLike) -> Iterator[Step]:
-    """Feed recorded y, shape (steps, ..., p), and v, shape (steps, ..., q), to the scheme: what it would have done.
+    """Feed recorded y, shape (steps, ..., p), and v, shape (steps, ..., q), to the scheme; yield its steps.
 
-    The inputs are taken as applied, whatever the scheme computes. In each step ``v_computed`` is what the scheme
-    computes from the record up to k, ``v_applied`` the record's input.
+    The recorded inputs count as applied. In each step, ``v_computed`` is the scheme's input for the record up to k,
+    and ``v_applied`` is the recorded input.
     """
     instance("scheme", scheme, Scheme)
     y, v = real_array("y", y, (None, scheme.p)), real_array("v", v, (None, scheme.q))
     if y.shape[:-1] != v.shape[:-1]:
-        raise InputError(f"y and v must have as many rows as each other, got {len(y)} and {len(v)}")
+        raise InputError(f"y and v must have the same number of rows, got {len(y)} and {len(v)}")
     state = start(scheme)
     for measured, applied in zip(y, v, strict=True):
         done = replace(step(scheme, state, measured), v_applied=applied)

@@ -1,4 +1,4 @@
-"""What is known of the signal model beforehand: linear equalities that every estimate must satisfy."""
+"""Prior knowledge of the signal model: linear equalities that every estimate must satisfy."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rhl._checks import Array, describe, instance, integer, numbers, real_array
 from rhl.errors import InputError
 from rhl.model import SignalModel
 
-# Equalities of which this share of their own size is left over contradict each other, or the model at hand; what is
-# written with 12 digits or more passes.
+# Equalities with a larger relative residual contradict each other or the model; numbers written with 12 digits or
+# more pass.
 _MET_RTOL = 1e-10
 
 
@@ -22,7 +22,7 @@ class LinearConstraints:
     r"""Linear equalities :math:`M \theta = b` of the signal model, :math:`\theta = [\mathrm{vec} A; \mathrm{vec} B]`.
 
     Source: the last remark of Section V, that a priori knowledge enters as constraints of the estimator. Mixing keeps
-    the equalities, since it stays on the line between two models that satisfy them. InputError if shapes do not fit
+    the equalities, since it takes convex combinations of two models that satisfy them. InputError if shapes do not fit
     each other, or the equalities contradict each other.
 
     Parameters
@@ -60,19 +60,19 @@ class LinearConstraints:
             worst = int(np.argmax(left / np.where(size > 0, size, 1)))
             if left[worst] > _MET_RTOL * size[worst] or size[worst] == 0 < left[worst]:
                 raise InputError(
-                    f"the equalities must not contradict each other, got row {worst}, which the others leave off by "
-                    f"{left[worst]:.3g}; take one of them away"
+                    f"the equalities must not contradict each other, got row {worst}, which misses by "
+                    f"{left[worst]:.3g}, given the others; remove one of them"
                 )
 
     @classmethod
     def entries(cls, A: ArrayLike, B: ArrayLike) -> LinearConstraints:
-        """Know single entries of A, shape (n, n), and B, shape (n, q); NaN if unknown, InputError if infinite."""
+        """Fix single entries of A, shape (n, n), and B, shape (n, q); NaN if unknown, InputError if infinite."""
         try:
             found = A
             A = numbers(found)
             found = B
             B = numbers(found)
-        except Exception as error:  # ragged, or whatever an object's own conversion raises
+        except Exception as error:  # a ragged list, or any error of the object's own conversion
             raise InputError(f"A and B must hold numbers, NaN where unknown, got {describe(found)}") from error
         if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A) or 0 in B.shape:
             raise InputError(f"A and B must have shapes (n, n) and (n, q), got {A.shape} and {B.shape}")
@@ -82,11 +82,11 @@ class LinearConstraints:
 
     @classmethod
     def shift(cls, p: int, outputs: int, q: int, inputs: int) -> LinearConstraints:
-        r"""Know the rows of a delay-lifted model that only move outputs along.
+        r"""Fix the rows of a delay-lifted model that only shift outputs.
 
         Of :math:`x(k+1) = [y(k+1); y(k); \dots; y(k-N_y+2)]` all but the first p entries are entries of x(k): these
         rows of [A B] hold zeros and ones. y has size p and v size q, ``outputs`` is :math:`N_y` and ``inputs`` is
-        :math:`N_v`; where :math:`N_y = 1` there is no equality at all.
+        :math:`N_v`; for :math:`N_y = 1` there is no equality.
         """
         for name, value in (("p", p), ("outputs", outputs), ("q", q), ("inputs", inputs)):
             integer(name, value, 1)
@@ -97,10 +97,10 @@ class LinearConstraints:
 
     def __and__(self, other: LinearConstraints) -> LinearConstraints:
         """Return the equalities of both."""
-        instance("what stands right of &", other, LinearConstraints)
+        instance("the right operand of &", other, LinearConstraints)
         if self.M.shape[1] != other.M.shape[1]:
             raise InputError(
-                f"both must be about models of one size, got {self.M.shape[1]} and {other.M.shape[1]} parameters"
+                f"both must constrain models of the same size, got {self.M.shape[1]} and {other.M.shape[1]} parameters"
             )
         return LinearConstraints(np.concatenate([self.M, other.M]), np.concatenate([self.b, other.b]))
 
@@ -132,20 +132,20 @@ class LinearConstraints:
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:
             raise InputError(
-                f"the constraints must be about the {theta.shape[-1]} parameters of {name}, "
+                f"the constraints must have columns for the {theta.shape[-1]} parameters of {name}, "
                 f"got {self.M.shape[1]} columns"
             )
         left = np.abs(theta @ self.M.T - self.b)
-        # An entry known to be zero is left at the rounding of the others, so the largest gives the measure.
+        # Rounding leaves a known zero at the error of the other entries, so the largest entry sets the scale.
         size = np.max(np.abs(theta), axis=-1, keepdims=True) * np.sum(np.abs(self.M), axis=1) + np.abs(self.b)
         if np.any(left > _MET_RTOL * size):
             raise InputError(
-                f"{name} must satisfy what is known (M theta = b), got a violation of {left.max():.3g}; "
+                f"{name} must satisfy the equalities (M theta = b), got a violation of {left.max():.3g}; "
                 "start from constraints.nearest(model)"
             )
 
     def nearest(self, model: SignalModel) -> SignalModel:
-        """Return the model nearest to this one, in the sum of squares, that satisfies the equalities."""
+        """Return the model that satisfies the equalities and is nearest to this one in the sum of squares."""
         instance("model", model, SignalModel)
         theta = model.theta
         if theta.shape[-1] != self.M.shape[1]:

@@ -14,7 +14,7 @@ from rhl.model import PredictorMaps, SignalModel
 
 Augment = Callable[[SignalModel], SignalModel]
 
-# Relative to the largest singular value: what rounding leaves of one that is zero is a few times 1e-16 of it.
+# Relative to the largest singular value; rounding leaves a zero one at a few times 1e-16.
 _ZERO = 1e-12
 
 
@@ -37,12 +37,12 @@ def controllability_matrix(model: SignalModel) -> Array:
 def controllability_margin(model: SignalModel) -> Array:
     """Return the smallest singular value of the controllability matrix, shape (...).
 
-    Zero if the pair is not controllable; NaN where a power of A leaves the range of float64, so that nothing is known.
+    Zero if the pair is not controllable; NaN where a power of A leaves the range of float64.
 
     Examples
     --------
-    >>> deaf = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])  # no input reaches the first state
-    >>> float(controllability_margin(deaf))
+    >>> model = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [1.0]])  # no input reaches the first state
+    >>> float(controllability_margin(model))
     0.0
     """
     with np.errstate(over="ignore", invalid="ignore"):
@@ -55,25 +55,25 @@ def controllability_margin(model: SignalModel) -> Array:
 def s_plus(maps: PredictorMaps | SignalModel, horizon: int | None = None) -> Array:
     r"""Return the smallest nonzero singular value of :math:`[B_{N-1}, \dots, B_0]`, shape (...).
 
-    For bounded maps Assumption 5(a), as a bound on the gain matrices, holds along a loop just where the infimum over k
-    of this number is positive; Theorem 1* of the book rests on it. Infinite where all of the :math:`B_i` are zero,
-    since no input is planned then; NaN where a power of A leaves the range of float64. Singular values below 1e-12 of
+    For bounded maps Assumption 5(a), as a bound on the gain matrices, holds along a loop if and only if the infimum
+    over k of this number is positive. Theorem 1* of the book uses it. Infinite where all :math:`B_i` are zero,
+    since then no input is planned; NaN where a power of A leaves the range of float64. Singular values below 1e-12 of
     the largest count as zero, since rounding leaves them no larger.
 
-    For a model of order n, steps beyond the n-th make it no smaller, for they add to the same subspace; where the model
-    grows they make the largest one so large that small ones are lost in rounding, and fewer steps tell more.
+    For a model of order n, steps beyond the n-th do not decrease it, since they add to the same subspace. In an
+    unstable model they make the largest singular value so large that rounding hides small ones, so use fewer steps.
 
     Parameters
     ----------
     maps : PredictorMaps or SignalModel
-        The maps, or the model whose powers they are, equation (21).
+        The maps, or a model whose powers give them, equation (21).
     horizon : int, optional
         N, for a model.
 
     Examples
     --------
-    >>> deaf = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [2.0]])  # no input reaches the first state
-    >>> float(s_plus(deaf, horizon=1))
+    >>> model = SignalModel([[1.0, 0.0], [0.0, 1.0]], [[0.0], [2.0]])  # no input reaches the first state
+    >>> float(s_plus(model, horizon=1))
     2.0
     """
     instance("maps", maps, PredictorMaps, SignalModel)
@@ -123,10 +123,10 @@ Count = Literal["lemma", "sharp"]
 
 
 def candidates(n: int, lambda_max: float, count: Count = "lemma") -> Array:
-    """Return equidistant weights in (0, lambda_max), as many as are sure to hold one that keeps controllability.
+    """Return equidistant weights in (0, lambda_max), enough that at least one keeps controllability.
 
-    For a pair of order n these are 2 n^2 + 1, as Lemma 5 has it ("lemma"), or n(n+1)/2 ("sharp"), which are enough
-    where the estimate itself is not controllable, and no fewer are: this project's observation, proved in the book.
+    For a pair of order n there are 2 n^2 + 1, as in Lemma 5 ("lemma"), or n(n+1)/2 ("sharp"). The latter is the least
+    sufficient number if the estimate is not controllable, an observation of this project that the book proves.
     InputError if lambda_max is outside (0, 1).
 
     Examples
@@ -144,28 +144,28 @@ def candidates(n: int, lambda_max: float, count: Count = "lemma") -> Array:
 
 @dataclass(frozen=True)
 class LambdaSearch:
-    r"""Lemma 5's search: mix only where the estimate has lost controllability.
+    r"""Lemma 5's search: mix only if the estimate is not controllable.
 
     If the estimate's margin reaches ``least_margin``, lambda is 0. Otherwise the candidates in
     :math:`(0, \lambda_{max})` are tried, :math:`2n^2+1` of them as in the lemma, which says that at least one gives a
     controllable pair, because :math:`\det(C C^\top)` is a polynomial of degree at most :math:`2n^2` in lambda.
-    Source: Lemma 5 (Lemma 4 where Lemma 1, set in the revision's colour, is not counted) and Theorem 2(iii).
+    Source: Lemma 5 (Lemma 4 in versions without Lemma 1) and Theorem 2(iii).
 
     Parameters
     ----------
     pair : {"lifted", "augmented"}
-        Whose controllability is kept: the lifted pair's, as in Theorem 2(iii), or that of Remark 4's augmented pair,
-        which the controller uses. The first does not give the second.
+        The pair that stays controllable: the lifted one, as in Theorem 2(iii), or Remark 4's augmented pair, which the
+        controller uses. The first does not imply the second.
     rule : {"first", "best"}
         Take the first candidate that reaches the margin (the paper's), or the one with the largest margin.
     lambda_max : float
         In (0, 1).
     least_margin : float
-        What counts as controllable in floating point: the smallest singular value of the controllability matrix. Of the
-        augmented pair it is a lower bound of :func:`s_plus` over any horizon of n' steps or more, so that a run in
-        which the search never fails satisfies Theorem 3' of the book.
+        The least singular value of the controllability matrix that counts as controllable in floating point. For the
+        augmented pair it is a lower bound of :func:`s_plus` over any horizon of n' steps or more, so a run in which
+        the search never fails satisfies Theorem 3' of the book.
     count : {"lemma", "sharp"}
-        How many candidates are tried: :math:`2n^2+1` as in the lemma, or the sharp :math:`n(n+1)/2`.
+        The number of candidates: :math:`2n^2+1` as in the lemma, or the sharp :math:`n(n+1)/2`.
 
     Examples
     --------
@@ -190,22 +190,22 @@ class LambdaSearch:
         positive("least_margin", self.least_margin)
 
     def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
-        """Search lambda, shape (...), for every member of the batch; LostControllabilityError if no candidate will do.
+        """Search lambda, shape (...), for every member of the batch; LostControllabilityError if every candidate fails.
 
         ``estimate`` is theta*(k), perhaps not controllable, ``previous`` is theta~(k-1), controllable, and ``augment``
-        is Remark 4's augmentation, called where ``pair`` is "augmented".
+        is Remark 4's augmentation, called if ``pair`` is "augmented".
         """
         view: Augment = augment if self.pair == "augmented" else lambda model: model
         lost = ~(controllability_margin(view(estimate)) >= self.least_margin)
         lead = np.broadcast_shapes(lost.shape, previous.A.shape[:-2])
         lost, chosen = np.broadcast_to(lost, lead), np.zeros(lead)
-        # Mostly nothing is lost, and then no candidate need be looked at.
+        # Usually every member is controllable, and no candidate is needed.
         if np.any(lost):
             chosen[lost] = self._search(_members(estimate, lost, lead), _members(previous, lost, lead), view)
         return chosen
 
     def _search(self, estimate: SignalModel, previous: SignalModel, view: Augment) -> Array:
-        """Search lambda for members, shape (members, 1), all of which have lost controllability."""
+        """Search lambda for members, shape (members, 1), none of which is controllable."""
         lam = candidates(view(estimate).n, self.lambda_max, self.count)
         margins = np.nan_to_num(controllability_margin(view(estimate.mix(previous, lam))))
         enough = margins >= self.least_margin
@@ -214,21 +214,21 @@ class LambdaSearch:
                 f"no lambda in (0, {self.lambda_max:g}) keeps the {self.pair} pair's margin above "
                 f"{self.least_margin:g} (largest found {np.min(np.max(margins, axis=-1)):.3g}); "
                 "widen lambda_max, lower least_margin, mix by a constant, "
-                "or start from a model that is better controllable"
+                "or start from a model with a larger margin"
             )
         return np.asarray(lam[np.argmax(enough if self.rule == "first" else margins, axis=-1)])
 
 
 def _members(model: SignalModel, those: np.ndarray, lead: tuple[int, ...]) -> SignalModel:
-    """Return some members of a batch, with room for candidates: shape (members, 1)."""
+    """Return some members of a batch with an axis for candidates, shape (members, 1)."""
     A, B = (np.broadcast_to(M, (*lead, *M.shape[-2:]))[those][:, None] for M in (model.A, model.B))
     return SignalModel(A, B)
 
 
 def chosen(mixing: Mixing, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
-    """Return what a mixing chooses, the user's own too, one lambda in [0, 1) for each member of the batch.
+    """Return the lambda in [0, 1) that a mixing, possibly the user's own, chooses for each member of the batch.
 
-    InputError if it chooses anything else; what a mixing of the user's own raises comes through as it is.
+    InputError if it chooses anything else; exceptions of the user's own mixing pass through.
     """
     lead = np.broadcast_shapes(estimate.A.shape[:-2], previous.A.shape[:-2])
     name, each = type(mixing).__name__, f" for each member of the batch, shape {lead}" if lead else ""
@@ -241,7 +241,7 @@ def chosen(mixing: Mixing, estimate: SignalModel, previous: SignalModel, augment
         raise
     try:
         lam = numbers(found)
-    except Exception:  # ragged, complex, strings, or whatever an object's own conversion raises
+    except Exception:  # ragged, complex, strings, or any error of the object's own conversion
         raise InputError(asked + describe(found)) from None
     if lam.shape not in ((), lead):
         raise InputError(f"{asked}shape {lam.shape}")

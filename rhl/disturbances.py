@@ -1,4 +1,4 @@
-"""What stands between scheme and plant in a simulation: actuators that saturate, sensors that err."""
+"""Disturbances between scheme and plant in a simulation: saturating actuators, sensor errors and loads."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, describe, fraction, integer, positive, real_array
 from rhl.errors import InputError
 
-# k and the signal, shape (..., size) -> the signal as it comes out, of the same shape.
+# k and the signal, shape (..., size) -> the disturbed signal, of the same shape.
 Disturbance = Callable[[int, Array], ArrayLike]
-# One, or several of which each is fed by the one before.
+# One disturbance, or several in series.
 Disturbances = Disturbance | tuple[Disturbance, ...]
 
 
@@ -22,8 +22,8 @@ Disturbances = Disturbance | tuple[Disturbance, ...]
 class Saturation:
     """An actuator that clips the input to a box, InputError if low is not below high.
 
-    Outside the theory: nothing in the paper says that the loop converges under saturation. An unstable plant cannot be
-    brought back from everywhere by a bounded input, whatever the controller.
+    Outside the theory: the paper does not claim convergence under saturation. No controller with bounded inputs
+    stabilises an unstable plant from every state.
 
     Parameters
     ----------
@@ -89,14 +89,14 @@ class GaussianNoise:
 
 @dataclass(frozen=True, eq=False)
 class Outliers:
-    """A sensor that is sometimes far off: at random, an entry of y is wrong by ``size`` or by -``size``.
+    """A sensor with outliers: at random, ``size`` or -``size`` is added to an entry of y.
 
     Parameters
     ----------
     rate : float
         Probability of an outlier in an entry at a step, in [0, 1).
     size : float
-        How far off, in the units of the output.
+        Size of an outlier, in the units of the output.
     seed : int
         Seed of the outliers, at least 0; those of step k depend on (seed, k) only.
     """
@@ -119,14 +119,14 @@ class Outliers:
 
 @dataclass(frozen=True, eq=False)
 class Offset:
-    """A constant that is added to a signal from some step on: a load on the plant's input, a sensor's bias.
+    """A constant that is added to a signal from a given step on: a load on the plant's input, a sensor's bias.
 
     Parameters
     ----------
     value : float or array_like, shape (size,)
         The constant, in the units of the signal.
     start : int
-        The first k at which it is there, at least 0.
+        The first k at which it acts, at least 0.
 
     Examples
     --------
@@ -157,11 +157,11 @@ def _one_each(name: str, value: Array | float, signal: Array, of: str) -> Array:
 
 
 def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) -> Array:
-    """Pass y or v, shape (..., size), through a disturbance, the user's own too, and check what comes out.
+    """Pass y or v, shape (..., size), through a disturbance, possibly the user's own, and check the result.
 
-    Each of a tuple of disturbances is fed by the one before; None passes the signal as it is. ``name`` is what messages
-    call it, "sensor", "actuator" or "load". InputError if the shape changes or a number is not finite. What a
-    disturbance of the user's own raises is let through, with a note where it was called.
+    A tuple of disturbances acts in series; None leaves the signal unchanged. ``name`` is its name in messages,
+    "sensor", "actuator" or "load". InputError if the shape changes or a number is not finite. Exceptions of the user's
+    own disturbance pass through, with a note about the call.
     """
     if disturbance is None:
         return signal
@@ -178,5 +178,5 @@ def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) 
         raise
     array = real_array(f"what the {name} returns at k = {k}", found)
     if array.shape != signal.shape:
-        raise InputError(f"the {name} must return the shape that it is given, {signal.shape}, got {array.shape}")
+        raise InputError(f"the {name} must return the shape of its argument, {signal.shape}, got {array.shape}")
     return array

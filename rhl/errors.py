@@ -1,4 +1,4 @@
-"""Every error and warning of the library; all errors lie below ``RHLError``."""
+"""Every error and warning of the library; all errors derive from ``RHLError``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class RHLError(Exception):
-    """What the library raises by itself; the message says in one sentence what was expected and found."""
+    """The base class of the library's errors; each message says in one sentence what was expected and found."""
 
 
 class InputError(RHLError, ValueError):
@@ -21,7 +21,7 @@ class NotFiniteError(InputError):
 
 
 class PlantError(InputError):
-    """A function that the caller gave for a plant does not do what a plant must; the message says which and what."""
+    """A function of the caller's plant is invalid; the message says which one and how."""
 
 
 class InfeasibleError(RHLError, ValueError):
@@ -29,17 +29,17 @@ class InfeasibleError(RHLError, ValueError):
 
 
 class NotSolvedError(RHLError, ArithmeticError):
-    """The estimator's problem was not solved to the accuracy that its certificate asks for."""
+    """The estimator's problem was not solved to the accuracy that its certificate requires."""
 
 
 class LostControllabilityError(RHLError, ArithmeticError):
-    """No candidate lambda keeps the mixed pair controllable by the asked margin."""
+    """No candidate lambda keeps the mixed pair controllable with the required margin."""
 
 
 class DivergedError(RHLError, ArithmeticError):
     """The closed loop left the range of float64.
 
-    At step ``k`` the number ``what`` did; ``trace`` holds the rows before, where ``simulate`` recorded any, else None.
+    ``k`` is the step, ``what`` the cause; ``trace`` holds the rows before it if ``simulate`` recorded any, else None.
     """
 
     def __init__(self, k: int, what: str, trace: Trace | None = None) -> None:
@@ -49,9 +49,9 @@ class DivergedError(RHLError, ArithmeticError):
         self.trace = trace
 
     def __reduce__(self) -> tuple[type[DivergedError], tuple[int, str, Trace | None]]:
-        # An exception is rebuilt from its message alone otherwise, which would break a pool of processes.
+        # By default an exception is unpickled from its message alone, which would break a pool of processes.
         return type(self), (self.k, self.what, self.trace)
 
 
 class AssumptionWarning(UserWarning):
-    """What was chosen is allowed, but an assumption of the paper, which the message names, is not known to hold."""
+    """A setting is allowed, but the assumption of the paper that the message names is not known to hold."""

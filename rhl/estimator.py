@@ -34,24 +34,24 @@ class ProximalEstimator:
         c, of ``rhl.losses`` or of your own; weights: one number, or one for each of the window n residuals, newest
         transition first.
     generator : Convex
-        g, likewise, which induces D; weights: one number, or one for each of the n (n + q) parameters, column by
+        g, which induces D, likewise; weights: one number, or one for each of the n (n + q) parameters, column by
         column.
     constraints : LinearConstraints, optional
-        M and b, what is known of the model beforehand.
+        M and b, prior knowledge of the model.
 
     Warns
     -----
     AssumptionWarning
-        Once for each estimator made, where Assumption 6 fails or is not known of the loss or the generator, or where
-        the generator's distance is not, or not known to be, convex in its second argument (Lemma 4).
+        Once for each new estimator, if Assumption 6 fails or is not known for the loss or the generator, or if the
+        generator's distance is not known to be convex in its second argument (Lemma 4).
 
     Notes
     -----
-    Source: equations (15) to (17). Where loss and generator are sums over entries and no equality couples rows of
-    [A B], the problem is one for each row (Remark 2), and is solved and certified so. With weighted squares that is a
-    regularised least-squares problem, solved by an orthogonal factorisation, so that the data are never squared.
-    Every other loss and generator is left to Newton's method, and to scipy's trust-region method where that one
-    fails; their answer must pass the certificate ``newton_decrement``.
+    Source: equations (15) to (17). If loss and generator are sums over entries and no equality couples rows of [A B],
+    the problem splits into one for each row (Remark 2), which are solved and certified separately. With weighted
+    squares each is a regularised least-squares problem, solved by an orthogonal factorisation without squaring the
+    data. Newton's method solves the problem for every other loss and generator, and scipy's trust-region method if
+    Newton's fails; the result must pass the certificate ``newton_decrement``.
     """
 
     window: int
@@ -93,14 +93,14 @@ class ProximalEstimator:
         k : int
             The step, for a loss that varies.
         size : array, shape (..., n + q), optional
-            Sizes of [x; u] in which loss and generator count signals; one where left out.
+            Scales of [x; u] for loss and generator; one if left out.
 
         Raises
         ------
         InputError
-            If shapes or weights do not fit, the centre is no such model, or a user's function returns what it must not.
+            If shapes or weights do not fit, the centre is invalid, or a user's function returns an invalid value.
         NotSolvedError
-            If the answer to a problem that is not quadratic misses its certificate.
+            If the solution of a problem that is not quadratic fails its certificate.
         """
         if size is not None:
             of_x, of_u = size[..., : centre.n], size[..., centre.n :]
@@ -116,11 +116,11 @@ class ProximalEstimator:
     def newton_decrement(
         self, model: SignalModel, centre: SignalModel, x: Array, u: Array, k: int = 0, size: Array | None = None
     ) -> Array:
-        r"""Certify an answer: how far a model is from the minimiser of equation (15), recomputed from the problem.
+        r"""Certify a solution: the distance of a model from the minimiser of (15), recomputed from the problem.
 
         The problem is given as in ``minimise``. Returns :math:`\|\delta\|/\|\theta\|`, shape (...), with Newton's step
-        :math:`\delta` and the metric :math:`\nabla^2 g(\theta)`: the relative distance itself where c and g are
-        quadratic, elsewhere but for terms of second order. About 1e-16 is the best there is.
+        :math:`\delta` and the metric :math:`\nabla^2 g(\theta)`: the relative distance, exact if c and g are
+        quadratic and otherwise up to terms of second order. The best attainable value is about 1e-16.
         """
         instance("model", model, SignalModel)
         if size is not None:
@@ -157,7 +157,7 @@ class ProximalEstimator:
         return loss, x, u
 
     def _free(self, centre: SignalModel) -> list[Array] | None:
-        """Return the directions in which each row of [A B] may move, if equalities stay within rows, else None."""
+        """Return the directions in which each row of [A B] may move, if no equality couples rows, else None."""
         if self.constraints is None:
             return [np.eye(centre.n + centre.q)] * centre.n
         self.constraints.check("the centre", centre)
@@ -201,13 +201,13 @@ class ProximalEstimator:
 
     @property
     def by_rows(self) -> bool:
-        """Whether each row of [A B] is a least-squares problem of its own: weighted squares and no constraints."""
+        """Whether each row of [A B] is a separate least-squares problem: weighted squares and no constraints."""
         return self.constraints is None and _entrywise(self.loss) and _entrywise(self.generator)
 
     def roots_of_weights(self, n: int, q: int, k: int = 0) -> tuple[Array, Array]:
         """Return the roots of the weights by rows of [A B], shapes (rows, window) and (rows, n + q).
 
-        Rows that have the same weights share one factorisation; mostly that is all of them, and then there is one row.
+        Rows with the same weights share one factorisation; usually all rows do, and then there is one row.
         """
         trust, hold = (np.sqrt(weight) for weight in self._weights(n, q, k))
         rows = 1 if np.all(trust == trust[0]) and np.all(hold == hold[0]) else n
@@ -221,7 +221,7 @@ class ProximalEstimator:
         return trust, np.broadcast_to(hold, n * (n + q)).reshape(n + q, n).T
 
     def _row_by_row(self, centre: SignalModel, x: Array, u: Array, k: int) -> SignalModel:
-        from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+        from rhl.kernels import loops  # imported here, because loading the compiler takes longer than the rest
 
         lead = np.broadcast_shapes(x.shape[:-2], u.shape[:-2], centre.A.shape[:-2])
         given = [to_lanes(M, lead, 2) for M in (x, u, np.concatenate([centre.A, centre.B], axis=-1))]
@@ -249,7 +249,9 @@ def _for_residuals(loss: Convex) -> None:
 def _warn_of_assumption_6(role: str, function: object) -> None:
     known = cast(Convex, function).assumption_6
     if not known:
-        asked = "continuously differentiable and strictly convex" + (", and least at zero" if role == "loss" else "")
+        asked = "continuously differentiable and strictly convex" + (
+            ", with its minimum at zero" if role == "loss" else ""
+        )
         warnings.warn(
             f"Assumption 6 asks for a {role} that is {asked}: {called(function)} is not"
             f"{' known to be' if known is None else ''}",

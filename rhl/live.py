@@ -28,7 +28,7 @@ class LiveController:
     Parameters
     ----------
     scheme : Scheme
-        What was chosen beforehand.
+        The scheme.
     state : ControllerState, optional
         Where it goes on from; where omitted, before k = 0.
 

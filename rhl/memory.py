@@ -61,7 +61,7 @@ class GrowingMemory:
         x holds x(k), x(k-1), shape (..., 2, n), u holds u(k-1), shape (..., 1, q). The memory [T, Z], shape
         (..., n + q, 2 n + q), has T upper triangular, and the sum of squares is \|T theta' - Z\|^2 plus a constant.
         """
-        from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+        from rhl.kernels import loops  # imported here, because loading the compiler takes longer than the rest
 
         row = np.concatenate([x[..., 1:2, :], u[..., :1, :], x[..., :1, :]], axis=-1)
         lead, d = np.broadcast_shapes(data.shape[:-2], row.shape[:-2]), data.shape[-2]

@@ -128,7 +128,7 @@ def _value(schedule: Schedule, k: int) -> float:
         raise
     try:
         value = float(numbers(found))
-    except Exception as error:  # whatever an object's own conversion raises
+    except Exception as error:  # any error of the object's own conversion
         raise InputError(f"epsilon must return a number at k = {k}, got {reason(error)}") from error
     if not 0 < value < np.inf:
         raise InputError(f"epsilon must be positive and finite at every k, got {describe(found)} at k = {k}")

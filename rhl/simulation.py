@@ -49,7 +49,7 @@ def simulate(
     Parameters
     ----------
     scheme : Scheme
-        What was chosen beforehand.
+        The scheme.
     plant : Plant
         The plant; a linear one may hold another F, G, H for each member of a batch.
     z0 : array_like, shape (..., n)

@@ -340,7 +340,7 @@ API = [
         None,
     ),
     ("known infinite", lambda: LinearConstraints.entries([[np.inf]], [[1.0]]), r"^b must be finite, got inf", None),
-    ("constraints & number", lambda: KNOWN & 3, r"^what stands right of & must be a LinearConstraints, got 3", None),
+    ("constraints & number", lambda: KNOWN & 3, r"^the right operand of & must be a LinearConstraints, got 3", None),
     (
         "constraints of another size",
         lambda: KNOWN.nearest(SignalModel(np.eye(2), np.eye(2))),

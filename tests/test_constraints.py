@@ -243,7 +243,7 @@ def test_one_window_for_a_batch_of_centres(known):
         (lambda: LinearConstraints([["a", "b"]], [1.0]), "M must hold real numbers"),
         (
             lambda: LinearConstraints([[1.0, 0.0], [2.0, 0.0]], [1.0, 3.0]),
-            r"the equalities must not contradict each other, got row \d, which the others leave off by 0\.\d",
+            r"the equalities must not contradict each other, got row \d, which misses by 0\.\d",
         ),
         (
             lambda: LinearConstraints([[0.0, 0.0]], [1.0]),
@@ -259,7 +259,7 @@ def test_one_window_for_a_batch_of_centres(known):
         ),
         (
             lambda: LinearConstraints(np.eye(2), np.ones(2)) & LinearConstraints(np.eye(6), np.ones(6)),
-            "both must be about models of one size, got 2 and 6 parameters",
+            "both must constrain models of the same size, got 2 and 6 parameters",
         ),
         (
             lambda: LinearConstraints.entries([[1.0, 2.0]], [[1.0]]),

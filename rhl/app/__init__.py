@@ -1,1 +1,1 @@
-"""The command line, its file format, and what it says about a plant and its settings."""
+"""The command line, its file format, and the diagnosis of a plant and its settings."""

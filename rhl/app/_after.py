@@ -1,4 +1,4 @@
-"""What a run shows: where its signals went, and which assumption is suspect where they did not go to rest."""
+"""Diagnosis of a run: whether its signals converge, and which assumption is suspect if they do not."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from rhl.closed_loop import Step
 from rhl.errors import InputError
 from rhl.trace import Trace
 
-# A margin below this is lost: what LambdaSearch calls controllable by default.
+# A smaller margin counts as not controllable, as it does for LambdaSearch by default.
 LOST = 1e-9
-# The last tenth of a run is taken for its end; there a signal is gone if it is this much smaller than it was.
+# The end of a run is its last tenth; a signal has converged if it is this much smaller there than at the beginning.
 _END, _GONE = 10, 1e-3
 # A model that misses more than this share of a run's signals does not reproduce them.
 FITS = 1e-6
-# What is left of a run with errors is a few times as large as these.
+# With sensor errors, outputs remain that are a few times as large as the errors.
 _FLOOR = 10.0
 # A peak above this many times the first output is suspect.
 _PEAK = 100.0
-# What was found to help on plants that did not shape the rule: the book's page on symptoms has the shares.
+# Remedies that helped on plants not used to choose the rule; the book's page on symptoms has the shares.
 LESS_PEAK = "lower order if it is above the observability index, or begin from a [rough] model that is right to a tenth"
 _CHOSEN = "give order in place of [lifting], [estimator] and [controller]"
-# Gains of the plans above this are not what Assumption 5 hopes for.
+# Larger gains of the plans make Assumption 5 doubtful.
 _GAIN = 1e4
 
 
@@ -34,7 +34,7 @@ def _size(rows: Array) -> Array:
 
 
 def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
-    """Judge state and input; with a set point outputs and increments, since the state has to move."""
+    """Judge state and input, or outputs and increments with a set point, where the state has to move."""
     tracks, hidden = trace.set_point is not None, trace.plant_state is None
     v = _size(np.diff(trace.v, axis=0, prepend=0.0) if tracks else trace.v)
     z = _size(trace.error if tracks or hidden else trace.z)
@@ -47,7 +47,7 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     )
     converged = last <= _GONE * first
     verdict: Verdict = "met" if converged else "suspect"
-    below = ", and read what is suspect below" if suspect_below else ""
+    below = ", and read the suspect findings below" if suspect_below else ""
     reason = "" if converged else f"; {_hint(trace, z, end)}{below}"
     yield Finding(
         "Set point" if tracks else "State and input go to zero in this run (Theorem 3)", verdict, ends + reason
@@ -58,7 +58,7 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
 
 
 def _of_sizes(trace: Trace, v: Array, input_name: str) -> Finding:
-    """Say how large the signals became: outputs as a prediction counts them, and the state in its own coordinates."""
+    """Report the largest outputs, as the predicted peak counts them, and the largest state and input."""
     y = _size(trace.error)
     at, seen = int(np.argmax(y)), np.flatnonzero(y > 0)
     times = f", {y[at] / y[seen[0]]:.3g} times the first" if len(seen) else ""
@@ -71,24 +71,24 @@ def _of_sizes(trace: Trace, v: Array, input_name: str) -> Finding:
 
 
 def _hint(trace: Trace, z: Array, end: int) -> str:
-    """Say what to turn where a run did not end at rest."""
+    """Return what to change if a run did not converge."""
     units, late = trace.scheme.units, slice(-end, None)
     if units is None:
-        return f"{'it grew' if np.max(z[late]) > np.max(z[:end]) else 'not gone yet'}: {_CHOSEN}, or run on"
+        return f"{'it grew' if np.max(z[late]) > np.max(z[:end]) else 'not converged yet'}: {_CHOSEN}, or run on"
     if np.mean(_limited(trace)[late]) > 0.5:
         return "the input is at its limit at the end: widen v_min and v_max, or begin from a [rough] model"
     if np.any(units.noise):
         if np.max(np.abs(trace.error[late])) <= _FLOOR * np.max(units.noise):
-            return "what is left is about as large as the errors that it was told of"
+            return "the remaining outputs are about as large as the noise that the scheme expects"
     else:
         misfit = _misfit(trace)
         if misfit is not None and misfit > FITS:
             return (
-                "if the sensors err, say by how much: noise = their standard deviation; if a constant disturbance "
+                "if the sensors have errors, set noise to their standard deviation; if a constant disturbance "
                 "acts, give set_point"
             )
     if np.max(z[late]) < np.max(z):
-        return "not gone yet: run on, or lengthen the horizon where the sampling is fast"
+        return "not converged yet: run more steps, or lengthen the horizon where the sampling is fast"
     return f"it grew: {LESS_PEAK}"
 
 
@@ -101,7 +101,7 @@ def _of_peak(trace: Trace) -> Iterator[Finding]:
     says = f"the largest is {sizes.max() / sizes[seen[0]]:.3g} times the first, {sizes[seen[0]]:.3g}"
     if trace.scheme.units is None:
         what = (
-            f"weights count in the units of the signals, and suit outputs of size one: {_CHOSEN}, or scale the outputs"
+            f"the weights are in the units of the signals and suit outputs of size one: {_CHOSEN}, or scale the outputs"
         )
     else:
         what = f"the plant grew while it was learned: {LESS_PEAK}"
@@ -153,7 +153,7 @@ def of_models(trace: Trace) -> Iterator[Finding]:
     yield Finding(
         "Assumption 5(b), bounded gains of V1",
         "met" if gains[at] <= _GAIN else "suspect",
-        f"inputs and states planned at k = {at} are up to {gains[at]:.3g} times the state there",
+        f"the inputs and states planned at k = {at} are up to {gains[at]:.3g} times the state there",
     )
     with np.errstate(over="ignore", invalid="ignore"):
         moved = np.linalg.norm(np.diff(trace.theta, axis=0), axis=-1)
@@ -168,11 +168,11 @@ def of_models(trace: Trace) -> Iterator[Finding]:
         "Certificates", "note", f"every estimate within {float(np.max(trace.newton_decrement)):.1g} of its minimiser"
     )
     if scheme.controller.adaptive:
-        yield Finding("Adaptive weight", "note", f"epsilon was let fall {int(trace.steps[-1].stage)} times")
+        yield Finding("Adaptive weight", "note", f"epsilon decreased {int(trace.steps[-1].stage)} times")
 
 
 def _of_s_plus(trace: Trace) -> Finding:
-    """Report the number that Theorem 1* of the book rests on, over the run and at its end."""
+    """Report inf s+, which must be positive in Theorem 1* of the book, over the run and at its end."""
     subject, found, end = "Theorem 1*, inf s+ > 0", trace.s_plus, max(1, len(trace) // _END)
     lacking: Verdict = "suspect" if trace.scheme.units is None else "outside"
     if np.any(np.isnan(found)):
@@ -180,7 +180,7 @@ def _of_s_plus(trace: Trace) -> Finding:
         return Finding(subject, lacking, f"the planned maps left the range of floating-point numbers at k = {at}")
     least = float(np.min(found))
     if np.isinf(least):
-        return Finding(subject, "met", "no model of the run lets an input do anything, so that none was planned")
+        return Finding(subject, "met", "no input has an effect in any model of the run, so none was planned")
     says = f"the smallest nonzero singular value of the planned maps is {least:.3g} over the run"
     late = float(np.min(found[-end:]))
     if np.isfinite(late):
@@ -189,7 +189,7 @@ def _of_s_plus(trace: Trace) -> Finding:
 
 
 def _gain(done: Step) -> float:
-    """Return how many times the state the largest number planned is; infinite where the plan leaves float64."""
+    """Return the largest planned number relative to the state; infinite where the plan leaves float64."""
     try:
         plan = done.plan
     except (InputError, ArithmeticError):
@@ -199,14 +199,14 @@ def _gain(done: Step) -> float:
 
 
 def _misfit(trace: Trace) -> float | None:
-    """Return the part of x(k+1) that no linear function of x(k), u(k) gives, relative; None where the run is short."""
+    """Return the share of x(k+1) that no linear function of x(k), u(k) explains; None if the run is too short."""
     begin, (x, u) = trace.scheme.first_measured, trace.lifted
     if len(trace) <= begin + 1 or not np.all(np.isfinite(trace.y[-1])):
         return None
     known, next_ = np.concatenate([x[begin:-1], u[begin + 1 :]], axis=1), x[begin + 1 :]
     if len(known) < 2 * known.shape[1]:
         return None
-    # Each transition by its own size, so that a run's beginning does not hide its end; but not what is nearly zero.
+    # Scale each transition by its own size, or the beginning of a run hides its end; drop those that are nearly zero.
     size = np.max(np.abs(known), axis=1, keepdims=True)
     heavy = size[:, 0] > 1e-9 * size.max()
     if np.sum(heavy) < 2 * known.shape[1]:

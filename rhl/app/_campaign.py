@@ -1,4 +1,4 @@
-"""The command `rhl campaign`: begin or go on, tell how far it is, say what came out."""
+"""The command `rhl campaign`: start or resume a campaign, show its progress and report its results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _Help(argparse.Action):
 
 
 def add(commands: Any) -> None:
-    """Add the command to the parser's."""
+    """Add the command to the parser's commands."""
     campaign = commands.add_parser(
         "campaign",
         allow_abbrev=False,
@@ -47,14 +47,14 @@ def add(commands: Any) -> None:
     campaign.add_argument("-h", "--help", action=_Help, help="show this help, with every key of the file, and exit")
     campaign.add_argument("config", type=file_name, metavar="CONFIG.toml", help="which plants and schemes")
     campaign.add_argument(
-        "--output", type=file_name, metavar="DIR", required=True, help="the folder to be made for the results"
+        "--output", type=file_name, metavar="DIR", required=True, help="the folder to create for the results"
     )
     workers = campaign.add_mutually_exclusive_group()
     workers.add_argument(
-        "--workers", type=_count, default=1, metavar="N", help="how many processes work (1: this one alone)"
+        "--workers", type=_count, default=1, metavar="N", help="the number of worker processes (1: only this process)"
     )
-    workers.add_argument("--scheduler", metavar="ADDRESS", help="let the workers of this Dask scheduler work")
-    campaign.add_argument("--resume", action="store_true", help="go on with a campaign that was interrupted")
+    workers.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler")
+    campaign.add_argument("--resume", action="store_true", help="resume a campaign that was interrupted")
     campaign.set_defaults(command=_campaign)
 
 
@@ -69,7 +69,7 @@ def _campaign(options: argparse.Namespace) -> int:
     from rhl.study.campaign import LostWorkersError, run
     from rhl.study.store import StoreError
 
-    for package in ("zarr", "xarray", "dask"):  # where one is missing, that is said before anything is made
+    for package in ("zarr", "xarray", "dask"):  # a missing package is reported before any file is created
         __import__(package)
     file, text, settings = load(options.config)
     campaign = file.campaign()
@@ -97,7 +97,7 @@ def _campaign(options: argparse.Namespace) -> int:
         else:
             status, why = _OK, ""
     if status:
-        complain(f"{why} after {done} of {tasks} tasks, which are kept; {again} goes on")
+        complain(f"{why} after {done} of {tasks} tasks, which are kept; {again} continues")
         return status
     _report(store, options)
     return _OK
@@ -110,7 +110,7 @@ def _backend(options: argparse.Namespace) -> Backend:
         return backends.in_process() if options.workers == 1 else backends.processes(options.workers)
     import distributed  # noqa: F401 - it sets up its logging when it is first imported
 
-    # It reports lost workers, with tracebacks, beside what is told here.
+    # It would report lost workers with tracebacks, in addition to the message here.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     return backends.cluster(options.scheduler)
 

@@ -1,4 +1,4 @@
-"""The form of a campaign's TOML file: every key, what it must be, and the campaign that it describes."""
+"""The form of a campaign's TOML file: its keys, their allowed values and the campaign that they describe."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _FACTOR = _NUMBER | {"minimum": 1, "maximum": 100}
 
 
 def _swept(what: str, kind: Any, default: Any = None) -> Any:
-    """Declare a setting of a scheme that may be a list, of which each entry makes a scheme."""
+    """Declare a setting of a scheme that may also be a list; each entry of a list makes a scheme."""
     return key(f"{what}, or a list of such", kind, list_of(kind), default=default)
 
 
@@ -46,8 +46,8 @@ class RandomSection(Section):
     p = key("{}, the number of outputs, or a list of such", SIZE, _SIZES, default=1)
     q = key("{}, the number of inputs, or a list of such", SIZE, _SIZES, default=1)
     radius = key(
-        "a list of two positive numbers: the lowest and the highest spectral radius of what is not hidden, uniform in "
-        "between",
+        "a list of two positive numbers: the lowest and the highest spectral radius of the modes that are "
+        "not hidden, uniform in between",
         _PAIR,
         default=[0.5, 1.2],
     )
@@ -86,7 +86,7 @@ class SampledSection(Section):
     n, p, q = (RandomSection.keys()[name] for name in ("n", "p", "q"))
     growth = key(
         "a list of two numbers: the lowest and the highest rate of growth in 1/s, the largest real part of the "
-        "eigenvalues of what is not hidden, uniform in between",
+        "eigenvalues that are not hidden, uniform in between",
         _PAIR,
         default=[-0.5, 0.5],
     )
@@ -115,18 +115,16 @@ class SchemeSection(Section):
     """[[schemes]], one for each scheme: where settings are lists, one for each combination of their entries."""
 
     base = key('"default" or "window": rhl.default_scheme or rhl.window_scheme')
-    label = key(
-        "{}, what it is called in the results; base and the settings that are given if left out", LINE, default=None
-    )
+    label = key("{}, its name in the results; if left out, base and the given settings", LINE, default=None)
     order_factor = _swept(
-        "a number from 1 to 100: the scheme is told the bound on the observability index times this, rounded up",
+        "a number from 1 to 100: the scheme's order is the bound on the observability index times this, rounded up",
         _FACTOR,
         1.0,
     )
     inputs = _swept("{}, the size of the first inputs of the default scheme", POSITIVE)
     R = _swept("{}, the weight of inputs", POSITIVE)
     eps_rate = _swept("{}, in eps(k) = 1/(1 + eps_rate k)", POSITIVE)
-    weight = _swept("{}, the weight that holds the estimate to the one before", POSITIVE)
+    weight = _swept("{}, the weight that keeps the estimate near the previous one", POSITIVE)
     horizon = _swept("{}, N", integer(1, 10_000))
     model_delay = _swept("0 (control with the estimate of this step) or 1 (of the step before)", integer(0, 1))
     memory = key(
@@ -134,7 +132,7 @@ class SchemeSection(Section):
         "must be false)",
         default=None,
     )
-    window = _swept("{}, how many transitions a window holds, in multiples of the order that is told", POSITIVE)
+    window = _swept("{}, the number of transitions in a window, in multiples of the scheme's order", POSITIVE)
     units = key("{}: that the default scheme's weights count signals in running units", FLAG, default=None)
 
     def choices(self) -> list[Choice]:
@@ -142,7 +140,7 @@ class SchemeSection(Section):
         swept = [name for name, value in self.given.items() if isinstance(value, list)]
         for name in swept:
             if not self.given[name]:
-                raise InputError(f"{name} must have an entry at least, got an empty list")
+                raise InputError(f"{name} must have at least one entry, got an empty list")
         fixed = {name: value for name, value in self.given.items() if name not in swept and name != "label"}
         found = []
         for values in product(*(self.given[name] for name in swept)):
@@ -157,7 +155,7 @@ class SchemeSection(Section):
 class CampaignFile(Section):
     """A whole file."""
 
-    name = key("{}, what the campaign is called, without control characters", LINE)
+    name = key("{}, the name of the campaign, without control characters", LINE)
     seed = key("{}, from which plants and errors are drawn", integer(0, 2**32 - 1))
     steps = key("{}, the number of rows k = 0 .. steps-1 of each run", integer(20, 100_000), default=200)
     noise = key(
@@ -167,19 +165,19 @@ class CampaignFile(Section):
     )
     input_bound = key("{}: inputs are clipped to plus and minus this; no bound if left out", POSITIVE, default=None)
     chunk = key(
-        "{}, how many plants a task and a chunk of the store have; results do not depend on it",
+        "{}, the number of plants in a task and in a chunk of the store; results do not depend on it",
         integer(1, 1_000_000),
         default=250,
     )
     plants = key("{}", table_of(RandomSection, SampledSection, BenchmarkSection))
-    schemes = key("a list of sections [[schemes]], one at least", list_of({"type": "object"}))
+    schemes = key("a list of at least one section [[schemes]]", list_of({"type": "object"}))
 
     @classmethod
     def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:
         """Read a file; ``schemes`` is the one key that is a list of sections."""
         given = table.get("schemes")
         sections = isinstance(given, list) and all(isinstance(one, dict) for one in given)
-        # What is no list of sections is refused by what the key must be; sections are read here.
+        # The check of the key refuses anything but a list of sections; the sections are read here.
         found = super().read(at, table | {"schemes": []} if sections else table, wrong, changes)
         if not sections:
             return found
@@ -189,7 +187,7 @@ class CampaignFile(Section):
         return cls(found.given | {"schemes": schemes})
 
     def campaign(self) -> Campaign:
-        """Build what the file describes; InputError, which begins with the key, if numbers do not fit each other."""
+        """Build the campaign; InputError, which begins with the key, if numbers do not fit each other."""
         try:
             plants = self.plants.plants(self.seed)
         except InputError as error:
@@ -204,28 +202,28 @@ class CampaignFile(Section):
 
 
 def load(path: str | os.PathLike[str]) -> tuple[CampaignFile, str, dict[str, Any]]:
-    """Read a campaign's TOML file; return what it says, its text, and its settings as they stand there.
+    """Read a campaign's TOML file; return its contents, its text and its settings as written.
 
-    InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
+    InputError if the file is missing or not TOML, or a key is missing, unknown or has a wrong value.
     """
     text, data = read_toml(path)
     return parse(data), text, data
 
 
 def parse(data: dict[str, Any]) -> CampaignFile:
-    """Check a campaign's description as a dictionary; InputError says in a sentence which key does not fit first."""
+    """Check a campaign's description as a dictionary; InputError names the first key that does not fit."""
     wrong: list[tuple[bool, str]] = []
     found = CampaignFile.read("", data, wrong)
-    # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
+    # An unknown key is often a misspelt required key, so its message is the more helpful one.
     for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
         raise InputError(sentence)
     return found
 
 
 def keys() -> Iterator[tuple[str, str]]:
-    """Yield every key with what it must be, in the order of the file; the help and the book's reference.
+    """Yield every key with its description, in the order of the file, for the help and the book's reference.
 
-    A key of some kinds of plants only says so.
+    The description of a key that only some kinds of plants have names these kinds.
     """
     for name, about in CampaignFile.keys().items():
         kinds = (SchemeSection,) if name == "schemes" else about.get("sections", ())

@@ -14,14 +14,14 @@ from rhl.errors import InputError
 from rhl.plants.benchmarks import benchmark, names
 from rhl.study.compare import METHODS, Score, Summary, compare, summaries
 
-# Times the largest input of the regulator that knows the plant.
+# The input bound, as a multiple of the largest input of the regulator that knows the plant.
 _BOUND = 3.0
 
 
 def compared(options: argparse.Namespace) -> bool:
-    """Run the comparison, print it, and write its rows where asked; False if it was interrupted.
+    """Run the comparison, print it, and write its rows if asked; False if it was interrupted.
 
-    What is done by then is printed and written all the same.
+    The results up to an interruption are printed and written too.
     """
     if options.plants and options.collection:
         raise InputError("--collection must be left out where plants are named, got both; name plants or a collection")
@@ -47,7 +47,7 @@ def compared(options: argparse.Namespace) -> bool:
         except KeyboardInterrupt:
             complain(f"interrupted after {len(done)} of {len(cases)} plants")
     words = words_of(options)
-    bounds = f"inputs at most {_BOUND:g} times the regulator's" if options.bounded else "inputs free"
+    bounds = f"inputs at most {_BOUND:g} times the regulator's" if options.bounded else "no input bounds"
     for noise in levels:
         of = [(name, scores) for name, scores in done if scores[0].noise == noise]
         errors = f"noise {noise:g}" if noise else "no noise"
@@ -91,7 +91,7 @@ def _ordered(score: Score) -> tuple[float, float]:
 
 
 def rows(done: list[tuple[str, Score]]) -> str:
-    """Return the text of a CSV file with a row for each run; numbers have 17 digits, and what is missing is empty."""
+    """Return the text of a CSV file with a row for each run; numbers have 17 digits, and missing values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     columns = [field.name for field in fields(Score)]

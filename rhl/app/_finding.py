@@ -1,4 +1,4 @@
-"""What a diagnosis is made of: findings, each with a verdict and a sentence."""
+"""The findings of a diagnosis, each with a verdict and a sentence."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Verdict = Literal["met", "violated", "suspect", "outside", "note"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes
     ----------
     subject : str
-        What, with the paper's name for it.
+        What was checked, with the paper's name for it.
     verdict : {"met", "violated", "suspect", "outside", "note"}
-        suspect: cannot be decided, but the numbers speak against it. outside: the theory does not treat it. note: a
-        number to know.
+        suspect: not decidable, but the numbers speak against it. outside: the theory does not cover it. note: a
+        number for information.
     says : str
         A sentence or two, with numbers.
     """
@@ -35,7 +35,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found, in the order in which one would ask."""
+    """All findings, with the most basic assumptions first."""
 
     findings: tuple[Finding, ...]
 

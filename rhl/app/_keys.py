@@ -1,4 +1,4 @@
-"""What a key of a run's TOML file may hold: said once, as a JSON schema, from which its check and its words follow."""
+"""The allowed values of a file's keys, as JSON schemas from which checks and descriptions are derived."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rhl.errors import InputError
 
 Kind = Mapping[str, Any]
 
-# Of a file, in bytes: room for matrices of a few hundred rows.
+# The largest file in bytes, with room for matrices of a few hundred rows.
 _LARGEST = 5_000_000
 
 
@@ -36,7 +36,7 @@ def _either(*kinds: Kind) -> Kind:
     return kinds[0] if len(kinds) == 1 else {"anyOf": list(kinds)}
 
 
-# The upper ends are far above any use; they keep a slip of the keyboard from taking all memory.
+# The upper limits are far above any use; they keep a typing error from exhausting the memory.
 SIZE, LENGTH, COUNT = integer(1, 100), integer(1, 10_000), integer(1, 100_000)
 NUMBER: dict[str, Any] = {"type": "number"}
 POSITIVE: Kind = NUMBER | {"exclusiveMinimum": 0}
@@ -45,11 +45,11 @@ FRACTION: Kind = NUMBER | {"minimum": 0, "exclusiveMaximum": 1}
 OPEN_FRACTION: Kind = NUMBER | {"exclusiveMinimum": 0, "exclusiveMaximum": 1}
 FLAG: Kind = {"type": "boolean"}
 TEXT: dict[str, Any] = {"type": "string"}
-# Without what ends a line, moves a cursor or turns the direction of writing: it is printed and drawn.
+# Characters that end a line, move a cursor or change the writing direction would spoil tables and figures.
 LINE: Kind = TEXT | {"pattern": "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$(?!\\n)"}
 VECTOR = list_of(NUMBER)
 MATRIX = list_of(VECTOR)
-# Of numbers, and "?" where one is not known.
+# A matrix of numbers, with "?" for unknown entries.
 PARTIAL = list_of(list_of(NUMBER, TEXT | {"enum": ["?"]}))
 # One of the words that stand in quotes in the key's description.
 WORDS: Kind = {}
@@ -66,10 +66,10 @@ _TYPES: dict[str, Any] = {
 
 
 def key(what: str, *kinds: Kind, default: Any = ...) -> Any:
-    """Declare a key of a section, whose value is of one of the kinds; of ``WORDS`` where none is given.
+    """Declare a key of a section, whose value is of one of the kinds; of ``WORDS`` if none is given.
 
-    ``what`` completes the sentence "KEY must be ..."; ``{}`` in it becomes what the first kind says. ``default`` is the
-    value where the key is left out; without one it may not be.
+    ``what`` completes the sentence "KEY must be ..."; ``{}`` in it becomes the first kind's description. ``default`` is
+    the value of a key that is left out; a key without default is required.
     """
     words, kinds = TEXT | {"enum": re.findall('"([^"]*)"', what)}, kinds or (WORDS,)
     about = {"description": what.replace("{}", _said(kinds[0])), **_either(*(kind or words for kind in kinds))}
@@ -91,7 +91,7 @@ def _said(kind: Kind) -> str:
 
 
 def fitted(kind: Kind, value: Any) -> Any:
-    """Return a value as its key holds it, a number as float; ValueError if it is not of this kind."""
+    """Return a value in the key's type, a number as float; ValueError if it is not of this kind."""
     for option in kind.get("anyOf", ()):
         with suppress(ValueError):
             return fitted(option, value)
@@ -106,7 +106,7 @@ def fitted(kind: Kind, value: Any) -> Any:
         except OverflowError:
             raise ValueError from None
     if what in ("integer", "number"):
-        # NaN fails every comparison, so it is refused by the same line.
+        # NaN fails every comparison, so this line refuses it too.
         inside = kind.get("exclusiveMinimum", -inf) < value < kind.get("exclusiveMaximum", inf)
         if not (inside and kind.get("minimum", -inf) <= value <= kind.get("maximum", inf)):
             raise ValueError
@@ -116,9 +116,9 @@ def fitted(kind: Kind, value: Any) -> Any:
 
 
 class Section:
-    """A table of the file: its keys are attributes, of the class what they must be, of an instance what they are.
+    """A table of the file; class attributes describe its keys, and instance attributes hold their values.
 
-    The keys of one that ``overrides`` may all be left out where the file has a scheme for them to change.
+    All keys of a table that ``overrides`` may be left out if the file has a scheme for it to change.
     """
 
     overrides = False
@@ -129,19 +129,19 @@ class Section:
 
     @classmethod
     def keys(cls) -> dict[str, Kind]:
-        """Return what each key must be, in the order of the file."""
+        """Return the description of each key, in the order of the file."""
         return {name: about for name, about in vars(cls).items() if isinstance(about, dict)}
 
     @classmethod
     def tag(cls) -> str:
-        """Return the kind of a table that there are several of, quoted."""
+        """Return the quoted kind of this table, where a section may have several kinds."""
         return cls.keys().get("kind", {}).get("description", "")
 
     @classmethod
     def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:
-        """Read a table; append what is wrong with it to a list: whether a key is unknown, and a sentence.
+        """Read a table; append each error to a list, as a pair: whether a key is unknown, and a sentence.
 
-        ``changes`` says that tables which override hold changes only.
+        ``changes`` says that overriding tables hold changes only.
         """
         keys, values = cls.keys(), {}
         for name, about in keys.items():
@@ -164,7 +164,7 @@ class Section:
                 except ValueError:
                     wrong.append((False, f"{what}, got {describe(table[name])}"))
         for name in (name for name in table if name not in keys):
-            # A key may be any text; what is no plain word is shown quoted, so that it stays on its line.
+            # A key may be any string; one that is not a plain word is quoted, so that it stays on its line.
             plain = isinstance(name, str) and name.replace("-", "_").isidentifier() and len(name) <= 60
             known = f"{at}{name if plain else describe(name)}"
             wrong.append((True, f"{known} is not a known key; expected one of {', '.join(keys)}, got {known}"))
@@ -172,12 +172,12 @@ class Section:
 
     @classmethod
     def needed(cls) -> list[str]:
-        """Return the keys that may not be left out."""
+        """Return the required keys."""
         return [name for name, about in cls.keys().items() if "default" not in about]
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
-        """Return the table's form as a JSON schema; of one that overrides, without the keys that it needs alone."""
+        """Return the table's form as a JSON schema; an overriding table has no required keys in it."""
         keys = cls.keys()
         properties = {}
         for name, about in keys.items():
@@ -193,7 +193,7 @@ class Section:
         }
 
     def heeded(self, name: str, heeded: bool, where: str) -> None:
-        """Refuse a key that is given and would not be heeded."""
+        """Refuse a key that is given but has no effect."""
         if name in self.given and not heeded:
             raise InputError(f"{name} must be left out {where}, got {describe(getattr(self, name))}; it has no effect")
 

@@ -1,4 +1,4 @@
-"""The kinds of plant that a run's TOML file may name: their keys, what they must be, and what is built of them."""
+"""The kinds of plant in a run's TOML file: their keys, the allowed values and the plants built from them."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class LinearSection(Section):
         return LinearPlant(self.F, self.G, self.H), self.z0
 
 
-# Coefficients of each channel: a row for each output, in it a list for each input.
+# Coefficients of each channel: a row for each output, with a list for each input.
 _CHANNELS = list_of(list_of(VECTOR))
 
 
 class TransferSection(Section):
-    """[plant] with kind = "transfer-function": any numbers of inputs and outputs, in discrete or continuous time."""
+    """[plant] with kind = "transfer-function": any number of inputs and outputs, in discrete or continuous time."""
 
     kind = key('"transfer-function"')
     num = key(
-        "a list of finite numbers, the numerator's coefficients, highest power of z first; of several inputs and "
-        "outputs a row for each output, in it such a list for each input",
+        "a list of finite numbers, the numerator's coefficients, highest power of z first; for several inputs and "
+        "outputs a row for each output, with such a list for each input",
         VECTOR,
         _CHANNELS,
     )
     den = key(
-        "a list of finite numbers, the denominator's coefficients, more of them than num has; of several inputs and "
+        "a list of finite numbers, the denominator's coefficients, more of them than num has; for several inputs and "
         "outputs like num, or one list for all",
         VECTOR,
         _CHANNELS,
@@ -56,13 +56,13 @@ class TransferSection(Section):
         default=None,
     )
     z0 = key(
-        "a list of n finite numbers, the initial state in controllable canonical form; of several inputs a block for "
-        "each, reduced to what the outputs see",
+        "a list of n finite numbers, the initial state in controllable canonical form; for several inputs a block for "
+        "each, reduced to the observable part",
         VECTOR,
     )
 
     def plant(self) -> tuple[Plant, ArrayLike]:
-        import control  # here, because it brings matplotlib along
+        import control  # here, because it loads matplotlib
 
         num, den = self._channels()
         time: Any = True if self.sampling is None else 0
@@ -121,11 +121,11 @@ class ExampleSection(Section):
 
 
 class PythonSection(Section):
-    """[plant] with kind = "python": two functions in a Python file of the user's, which is executed."""
+    """[plant] with kind = "python": two functions in the user's Python file, which is executed."""
 
     kind = key('"python"')
     file = key(
-        "the path of a Python file, seen from the folder of this one, that defines step(z, v) and output(z); it is "
+        "the path of a Python file, relative to the folder of this one, that defines step(z, v) and output(z); it is "
         "executed",
         TEXT,
     )
@@ -159,11 +159,11 @@ def _executed(file: str) -> dict[str, Any]:
     except BaseException as error:  # whatever a user's file raises, sys.exit included
         raise InputError(f"file must be a Python file that runs, got {reason(error)}, from {shown(file)}") from error
     finally:
-        os.chdir(folder)  # output is named from there, wherever the file went
+        os.chdir(folder)  # output paths are relative to this folder, even if the file changed it
 
 
 def _told(name: str, function: Any, lengths: dict[str, str]) -> Any:
-    """Say in one sentence what a file's function raises, which FunctionPlant would let through."""
+    """Report an error of a file's function in one sentence, since FunctionPlant passes it through."""
     if not callable(function):
         return function
 
@@ -180,6 +180,6 @@ def _told(name: str, function: Any, lengths: dict[str, str]) -> Any:
                     "array, so begin with z = z.copy()"
                 ) from error
             where = ", ".join(f"{symbol} = {describe(value)}" for symbol, value in zip("zv", arguments, strict=False))
-            raise PlantError(f"{wanted}, got {reason(error)}; try it by hand at {where}") from error
+            raise PlantError(f"{wanted}, got {reason(error)}; try it yourself at {where}") from error
 
     return call

@@ -1,4 +1,4 @@
-"""The sections of a run's TOML file but its plant: every key, what it must be, and what is built of it."""
+"""The sections of a run's TOML file except its plant: keys, allowed values and the objects built from them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class EstimatorSection(Section):
     """[estimator]: equation (15)."""
 
     overrides = True
-    window = key("{}, N_bar, how many transitions are fitted; beside order all, if left out", LENGTH)
+    window = key("{}, N_bar, how many transitions are fitted; all, if left out where order is given", LENGTH)
     weight = key("{}, the weight of the Bregman distance", POSITIVE)
     mixing = key('{}, the constant lambda, "none", or "search" for Lemma 5\'s search', FRACTION, WORDS)
     A0 = key(
@@ -92,19 +92,21 @@ class EstimatorSection(Section):
         WORDS,
         MATRIX,
     )
-    loss = key(f'"squares", or, where outliers shall count less, {_others(LOSSES, " or ", chr(34))}', default="squares")
+    loss = key(
+        f'"squares", or, to reduce the effect of outliers, {_others(LOSSES, " or ", chr(34))}', default="squares"
+    )
     loss_scale = key(
-        f"{{}}, the residual above which {_others(LOSSES, ' and ')} count an outlier", POSITIVE, default=1.0
+        f"{{}}, the residual above which {_others(LOSSES, ' and ')} treat a datum as an outlier", POSITIVE, default=1.0
     )
     generator = key(
         f'"squares", or {_others(GENERATORS, " or ", chr(34))} where every entry of A and B is known to be positive',
         default="squares",
     )
     mixing_pair = key('"lifted" or "augmented", the pair that the search keeps controllable', default="augmented")
-    mixing_rule = key('"first" or "best", which candidate with enough margin the search takes', default="best")
+    mixing_rule = key('"first" or "best", which of the candidates with enough margin the search takes', default="best")
     mixing_count = key('"lemma" (2 n^2 + 1 candidates) or "sharp" (n (n+1)/2)', default="lemma")
     lambda_max = key("{}, the upper end of the search", OPEN_FRACTION, default=0.9)
-    least_margin = key("{}, what the search calls controllable", POSITIVE, default=1e-9)
+    least_margin = key("{}, the smallest margin that the search accepts", POSITIVE, default=1e-9)
 
     def convex_loss(self) -> Convex:
         kind: Any = LOSSES[self.loss]
@@ -159,7 +161,7 @@ class RoughSection(Section):
 class KnowledgeSection(Section):
     """[knowledge]: what every estimate must satisfy."""
 
-    shift_rows = key("{}: that the rows of A and B which only move outputs along are known", FLAG, default=False)
+    shift_rows = key("{}: whether the rows of A and B that only shift outputs are known", FLAG, default=False)
     A = key('a matrix like A0 of known numbers and "?" where unknown; empty if nothing is known', PARTIAL, default=[])
     B = key('a matrix like B0 of known numbers and "?" where unknown; empty if nothing is known', PARTIAL, default=[])
 
@@ -204,12 +206,12 @@ class ControllerSection(Section):
     eps_factor = key("{}, for exponential", OPEN_FRACTION, default=None)
     eps_value = key("{}, for constant", POSITIVE, default=None)
     bounded = key(
-        "{}: that plans keep v_min and v_max of [simulation], instead of being clipped there; true beside order",
+        "{}: whether plans keep v_min and v_max of [simulation] instead of being clipped there; true with order",
         FLAG,
         default=False,
     )
     adaptive = key(
-        "{}: that eps moves on only where the value function did not fall, instead of at every step",
+        "{}: whether eps decreases only where the value function did not fall, instead of at every step",
         FLAG,
         default=False,
     )
@@ -248,12 +250,12 @@ class ControllerSection(Section):
 
 
 def too_heavy(controller: Controller, k: int) -> str:
-    """Say which key makes the weight alpha x'x / eps(k) leave the range of float64; "" where the state does."""
+    """Say which key makes the weight alpha x'x / eps(k) leave the range of float64; "" if the state does."""
     schedule: Any = controller.epsilon
     names = next(names for kind, names in _SCHEDULES.values() if kind is type(schedule))
     if isinstance(schedule, PowerDecay) and schedule.power != 1:
         names = _SCHEDULES["power"][1]
-    # In powers of ten: where the file takes less than half of the range, the state took the rest of it.
+    # In powers of ten: if the file's factors use less than half of the range, the state is the cause.
     by_alpha, by_eps = math.log10(controller.alpha), -math.log10(schedule(k))
     if by_alpha + by_eps < 154:
         return ""
@@ -266,19 +268,19 @@ def too_heavy(controller: Controller, k: int) -> str:
 
 
 class SimulationSection(Section):
-    """[simulation]: what errs between scheme and plant, outside the theory."""
+    """[simulation]: limits, errors and disturbances between scheme and plant, outside the theory."""
 
     v_min = key("{}, or one for each input: where the actuator saturates", NUMBER, VECTOR, default=None)
     v_max = key("{}, or one for each input, above v_min", NUMBER, VECTOR, default=None)
     load = key(
-        "{}, or one for each input: what is added to the input on its way into the plant, unknown to the scheme",
+        "{}, or one for each input: a constant that is added to the plant's input, unknown to the scheme",
         NUMBER,
         VECTOR,
         default=0.0,
     )
-    load_start = key("{}, the first k at which the load is there", integer(0, 100_000), default=0)
+    load_start = key("{}, the first k at which the load acts", integer(0, 100_000), default=0)
     applied_known = key(
-        "{}: that the scheme remembers the input that the actuator let through, not the one computed",
+        "{}: whether the scheme records the input after the actuator, not the computed one",
         FLAG,
         default=True,
     )
@@ -288,9 +290,9 @@ class SimulationSection(Section):
         list_of(NOT_NEGATIVE),
         default=0.0,
     )
-    outlier_rate = key("{}, how probable an outlier is in an output at a step", FRACTION, default=0.0)
-    outlier_size = key("{}, how far off an outlier is", POSITIVE, default=1.0)
-    seed = key("{}, from which errors and outliers are drawn", integer(0, 2**32 - 1), default=0)
+    outlier_rate = key("{}, the probability of an outlier in an output at a step", FRACTION, default=0.0)
+    outlier_size = key("{}, the size of an outlier", POSITIVE, default=1.0)
+    seed = key("{}, the seed of errors and outliers", integer(0, 2**32 - 1), default=0)
 
     def actuator(self, q: int) -> Saturation | None:
         if self.v_min is None and self.v_max is None:

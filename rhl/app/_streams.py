@@ -1,4 +1,4 @@
-"""Where a command's words and results go: its streams, and the files and the standard output named in the call."""
+"""Where a command writes messages and results: its streams, the named files and standard output."""
 
 from __future__ import annotations
 
@@ -13,55 +13,55 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 
-# Nothing here needs numpy before a file is looked at, so that help and refusals do not wait for it.
+# Nothing here needs numpy before a file is read, so that help and refusals do not wait for it.
 from rhl.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-# What stands for standard output where a file is asked for; compared by identity, since ./- is a file of that name.
+# Stands for standard output in place of a file; compared by identity, since ./- is a file of that name.
 STDOUT = Path("-")
-# Opened anew, these would begin at the start of what a shell redirected standard output to, beside what is printed.
+# Opening these again would write from the start of a file to which a shell redirected standard output.
 _NAMES_OF_STDOUT = ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 
 
 def open_streams() -> None:
-    """Make standard output and error take every text: one that was closed takes it to nowhere.
+    """Make standard output and error accept every string; a closed stream discards it.
 
-    What an encoding lacks is shown escaped, as standard error does from the start.
+    Characters outside the encoding are escaped, as standard error does by default.
     """
     for name in ("stdout", "stderr"):
         stream = cast(TextIO | None, getattr(sys, name))
         if stream is None:
-            # Its number would go to the next file that is opened; so this is one.
+            # The next file opened would get its descriptor, so this one takes it.
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def drop(stream: TextIO) -> None:
-    """Let what is left of a stream go nowhere; Python would complain once more when it closes the stream."""
+    """Discard the rest of a stream; otherwise Python reports the error again when it closes the stream."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def complain(text: str) -> None:
-    """Say something on standard error, on one line."""
+    """Print a message on standard error, on one line."""
     try:
         print(f"rhl: {printable(text)}", file=sys.stderr, flush=True)
-    except OSError:  # whoever was to be told has gone, with the terminal perhaps; the exit status says it too
+    except OSError:  # the terminal may be closed; the exit status reports the failure too
         drop(sys.stderr)
 
 
 def printable(text: str) -> str:
-    """Return a text with control characters escaped, so that it stays on its line and moves no cursor."""
+    """Return a string with control characters escaped, so that it stays on its line and moves no cursor."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let a request to terminate, and a terminal that is closed, interrupt as Ctrl-C does, so that rows are kept.
+    """Handle termination and a closed terminal like Ctrl-C, so that rows are kept.
 
-    A signal that is ignored stays so (``nohup``).
+    An ignored signal stays ignored (``nohup``).
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -87,7 +87,7 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show on a terminal's standard error how much is done, and nothing elsewhere."""
+    """Show the progress on standard error if it is a terminal."""
     if not sys.stderr.isatty():
         yield lambda done: None
         return
@@ -100,12 +100,12 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     try:
         yield lambda done: bar.update(task, completed=done)
     finally:
-        with suppress(OSError):  # a terminal that is gone takes the bar along, and must not take the rows
+        with suppress(OSError):  # a closed terminal ends the bar, but must not lose the rows
             bar.stop()
 
 
 def width_of(file: TextIO, least_width: int) -> int:
-    """Return how wide a table may be: a terminal's width; off one COLUMNS, or ``least_width`` where it says nothing."""
+    """Return the width of a table: the terminal's, without a terminal COLUMNS, or else ``least_width``."""
     from rich.console import Console
 
     console = Console(file=file)
@@ -116,7 +116,7 @@ def width_of(file: TextIO, least_width: int) -> int:
 
 
 def print_table(table: Table, least_width: int, file: TextIO) -> None:
-    """Print a table as wide as ``width_of`` says."""
+    """Print a table of the width ``width_of``."""
     from rich.console import Console
 
     console = Console(highlight=False, file=file, width=width_of(file, least_width))
@@ -126,31 +126,31 @@ def print_table(table: Table, least_width: int, file: TextIO) -> None:
 
 
 def target_name(text: str) -> Path:
-    """Read what is to be written from the command line: a file's name, or - for standard output."""
+    """Read an output target from the command line: a file's name, or - for standard output."""
     return STDOUT if text in _NAMES_OF_STDOUT else file_name(text)
 
 
 def file_name(text: str) -> Path:
     """Read a file's name from the command line."""
     if not text:
-        raise argparse.ArgumentTypeError("a file's name must have a character at least, got none")
+        raise argparse.ArgumentTypeError("a file's name must have at least one character, got none")
     return Path(text)
 
 
 def words_of(options: argparse.Namespace) -> TextIO:
-    """Return where a command's words go: to standard error where standard output takes its results."""
+    """Return the stream for messages: standard error if results go to standard output."""
     return sys.stderr if options.output is STDOUT else sys.stdout
 
 
 def named(path: Path) -> str:
-    """Return what a message calls a target."""
+    """Return the name of a target in messages."""
     from rhl._checks import shown
 
     return "standard output" if path is STDOUT else shown(path)
 
 
 def deliver(path: Path, content: str | bytes, force: bool) -> None:
-    """Write a target whole; one that exists by now only by force."""
+    """Write a whole target; overwrite an existing file only with --force."""
     from rhl._files import write_whole
 
     if path is STDOUT:
@@ -170,9 +170,9 @@ def check_targets(options: argparse.Namespace) -> None:
         taken[options.config.resolve()] = "the configuration"
     for flag, path in ((getattr(options, "flag", "--output"), options.output), ("--plot", options.plot)):
         if path is STDOUT:
-            # Where it was closed, `open_streams` put this in its place.
+            # `open_streams` put this in place of a closed one.
             if getattr(sys.stdout, "name", None) == os.devnull:
-                raise InputError(f"{flag} must name what can be written, got standard output, which is closed")
+                raise InputError(f"{flag} must name a target that can be written, got standard output, which is closed")
         elif path is not None:
             _check(flag, path, options.force, taken)
 

@@ -1,4 +1,4 @@
-"""The command `rhl verify`: the claims of the paper checked, as a table and as JSON."""
+"""The command `rhl verify`: check the claims of the paper and report them as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from rhl.app._streams import complain, deliver, print_table, progress, width_of,
 from rhl.paper.claims import ledger
 from rhl.paper.claims.claim import Claim, Effort, Judgement
 
-# Columns that a row needs with everything in it.
+# The width of a complete row, in characters.
 _WIDE = 230
 
 
 def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effort) -> list[Judgement]:
-    """Judge claims, print what came out, and write it where asked.
+    """Check claims, print the results, and write them if asked.
 
-    If it is interrupted, what is done by then is printed and written all the same.
+    The results up to an interruption are printed and written too.
     """
     done: list[Judgement] = []
     with progress("checking", len(claims)) as show:
@@ -37,7 +37,7 @@ def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effor
     count = "1 claim" if len(done) == 1 else f"{len(done)} claims"
     title = f"{count}, seed {effort.seed}, {effort.cases} cases"
     print_table(_table(done, title, width_of(words, _WIDE)), _WIDE, words)
-    # What would not fit into a cell: why there is no evidence, and why none can be had.
+    # Reasons that do not fit into a cell: why there is no evidence, and why there can be none.
     for row in done:
         if row.problem:
             print(f"{row.claim.id}: {row.problem}", file=words)
@@ -55,7 +55,7 @@ def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effor
 
 
 def _table(done: list[Judgement], title: str, width: int) -> Table:
-    """Return a row for each claim; on a narrow terminal only what fits without a break."""
+    """Return a row for each claim; on a narrow terminal only the columns that fit without a line break."""
     table, wide = Table(title=title, title_justify="left"), width >= _WIDE
     table.add_column("claim", no_wrap=wide, overflow="fold")
     if wide:

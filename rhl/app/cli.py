@@ -52,7 +52,7 @@ _EXTRAS = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one sentence, as everything here does."""
+    """Reports an error in one sentence, like every other command error."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see '{self.prog} --help'")
@@ -61,8 +61,8 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0: done, and within tolerance where something is compared. 1: a tolerance or an assumption is missed. 2: bad input.
-    3: the run stopped before its end; its rows up to there are kept. 130: interrupted; likewise.
+    0: success. 1: a tolerance is exceeded or an assumption does not hold. 2: bad input.
+    3: the run stopped before its end; its rows are kept. 130: interrupted; the rows are kept.
     """
     open_streams()
     try:
@@ -95,12 +95,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         complain("interrupted")
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read the table has gone
+    except BrokenPipeError:  # the reader of the table has closed it
         drop(sys.stdout)
         return BROKEN_PIPE
     except OSError as error:
         drop(sys.stdout)
-        complain(f"standard output must take the table, got: {error.strerror}")
+        complain(f"the table must be written to standard output, got: {error.strerror}")
         return BAD_INPUT
 
 
@@ -128,8 +128,8 @@ def _parser() -> argparse.ArgumentParser:
         "run",
         allow_abbrev=False,
         help="run the scheme on a plant of your own",
-        epilog="The shortest file holds name, steps, order and [plant]. set_point says where outputs are to go, and "
-        "[simulation] what errs: v_min and v_max, noise, outliers, a load. 'rhl new NAME' writes all keys.",
+        epilog="The shortest file holds name, steps, order and [plant]. set_point is the target of the outputs, and "
+        "[simulation] holds v_min and v_max, noise, outliers and a load. 'rhl new NAME' writes all keys.",
     )
     run.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what to run; the book documents every key")
     run.add_argument(
@@ -142,35 +142,33 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
 
     check = commands.add_parser(
-        "check", allow_abbrev=False, help="say which assumptions a plant and its settings meet, in words"
+        "check", allow_abbrev=False, help="report which assumptions a plant and its settings meet"
     )
     check.add_argument("config", type=file_name, metavar="CONFIG.toml", help="what would run")
-    check.add_argument("--run", action="store_true", help="run it too, and say how that went")
+    check.add_argument("--run", action="store_true", help="run it too, and report the result")
     check.set_defaults(command=_check, output=None, plot=None)
 
-    new = commands.add_parser("new", allow_abbrev=False, help="write a commented configuration that runs as it is")
-    new.add_argument("name", metavar="NAME", help="what the run is called; written is NAME.toml")
-    new.add_argument(
-        "--from", dest="source", metavar="PLANT", help="on a plant that others published, by its name, such as ac1"
-    )
+    new = commands.add_parser("new", allow_abbrev=False, help="write a commented configuration that is ready to run")
+    new.add_argument("name", metavar="NAME", help="the name of the run; the file is NAME.toml")
+    new.add_argument("--from", dest="source", metavar="PLANT", help="use a published plant, by its name, such as ac1")
     new.set_defaults(command=_new, plot=None, flag="NAME")
 
     compare = commands.add_parser(
         "compare", allow_abbrev=False, help="run benchmark plants under the scheme and its rivals"
     )
+    compare.add_argument("plants", nargs="*", metavar="PLANT", help="which plants; by default all up to order ten")
     compare.add_argument(
-        "plants", nargs="*", metavar="PLANT", help="which plants; all up to order ten if none is named"
+        "--collection", metavar="NAME", help="the plants of one collection only: compleib or literature"
     )
-    compare.add_argument("--collection", metavar="NAME", help="those of one collection only: compleib or literature")
-    compare.add_argument("--method", action="append", metavar="NAME", help="a method to run; all where none is named")
+    compare.add_argument("--method", action="append", metavar="NAME", help="a method to run; by default all")
     compare.add_argument("--steps", type=int, default=400, metavar="T", help="how many steps (400)")
     compare.add_argument(
-        "--noise", type=float, action="append", metavar="S", help="errors of outputs, relative to the first (0)"
+        "--noise", type=float, action="append", metavar="S", help="errors of outputs, relative to the first output (0)"
     )
     compare.add_argument(
         "--bounded", action="store_true", help="inputs at most three times those of the regulator that knows the plant"
     )
-    compare.add_argument("--seeds", type=int, default=1, metavar="N", help="how many runs where anything is random (1)")
+    compare.add_argument("--seeds", type=int, default=1, metavar="N", help="the number of runs of each random case (1)")
     compare.add_argument("--output", type=target_name, metavar="CSV", help="write a row for each run; - prints them")
     compare.set_defaults(command=_compare, plot=None)
 
@@ -185,7 +183,7 @@ def _parser() -> argparse.ArgumentParser:
         "ids",
         nargs="*",
         metavar="ID",
-        help="claims to check, or patterns such as 'certified.*'; all where none is named",
+        help="claims to check, or patterns such as 'certified.*'; by default all",
     )
     verify.add_argument("--list", action="store_true", help="list the claims instead of checking them")
     verify.add_argument(
@@ -193,14 +191,14 @@ def _parser() -> argparse.ArgumentParser:
         type=target_name,
         metavar="FILE",
         dest="output",
-        help="write the judgements to this file; - prints it",
+        help="write the results to this file; - prints it",
     )
-    verify.add_argument("--seed", type=int, default=0, help="where random cases come from (default: 0)")
+    verify.add_argument("--seed", type=int, default=0, help="the seed of the random cases (default: 0)")
     amount = verify.add_mutually_exclusive_group()
     amount.add_argument(
         "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
     )
-    amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a first look")
+    amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a quick check")
     verify.set_defaults(command=_verify, plot=None, flag="--json")
 
     for command in (reproduce, run):
@@ -246,7 +244,7 @@ def _run(options: argparse.Namespace) -> int:
     if trace:
         _write(options, trace, lambda: _figures().run(trace, experiment.name))
     elif output is not STDOUT and output.is_file():
-        kept = f"no row came before it, and {named(output)} stays as it was"  # with --force
+        kept = f"there is no row before it, and {named(output)} is unchanged"  # with --force
     else:
         plant = experiment.plant
         deliver(output, ",".join(header(plant.p, plant.q, plant.n)) + "\n", options.force)
@@ -337,13 +335,13 @@ def _new(options: argparse.Namespace) -> int:
     name = options.name.removesuffix(".toml")
     stem = Path(name).name
     if not stem or not stem.isprintable():
-        raise InputError(f"NAME must be the name of a file to be, got {shown(options.name)!r}")
+        raise InputError(f"NAME must be a name for a new file, got {shown(options.name)!r}")
     options.output = Path(f"{name}.toml")
     _check_targets(options)
     text = template(stem) if options.source is None else published(stem, options.source)
     deliver(options.output, text, options.force)
     call = f"rhl run {quote(str(options.output))} --output {quote(f'{name}.csv')} --plot {quote(f'{name}.svg')}"
-    print(printable(f"{options.output} runs as it is: {call}"))
+    print(printable(f"{options.output} is ready to run: {call}"))
     return OK
 
 
@@ -393,14 +391,14 @@ def _paper_figures() -> ModuleType:
 
 
 def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
-    """Write the rows and the figure; if one of them cannot be written, the other does not stay behind either."""
+    """Write the rows and the figure; if one of them cannot be written, the other is removed too."""
     from rhl._files import table_text
 
     results: list[tuple[Path, str | bytes]] = []
     if options.plot:
         results.append((options.plot, _figures().render(draw, options.plot)))
     if options.output:
-        # Rows that are printed cannot be taken back, so they come last.
+        # Printed rows cannot be removed again, so they come last.
         results.insert(len(results) if options.output is STDOUT else 0, (options.output, table_text(trace.columns())))
     made: list[Path] = []
     for path, content in results:
@@ -418,4 +416,4 @@ def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]
 def _check_targets(options: argparse.Namespace) -> None:
     check_targets(options)
     if options.plot:
-        _figures()  # where matplotlib is missing, that is said before the run
+        _figures()  # a missing matplotlib is reported before the run

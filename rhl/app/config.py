@@ -50,18 +50,18 @@ from rhl.plants.examples import EXAMPLES, example
 from rhl.scheme import Scheme, default_scheme, scheme_for
 from rhl.tracking import SetPoint
 
-# The sections that stand in a file without the key order; beside it they change what it chooses.
+# Sections that a file without the key order needs; where order is given, they change the chosen scheme.
 _NEEDED = ("lifting", "estimator", "controller")
 
 
 class Config(Section):
     """A whole file."""
 
-    name = key("{}, what the run is called, without control characters", LINE)
+    name = key("{}, the name of the run, without control characters", LINE)
     steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
     order = key(
         "{}, an upper bound of the plant's observability index, from which the scheme is chosen, for signals of any "
-        "size; each key of [lifting], [estimator] and [controller] that is given changes just that",
+        "size; each given key of [lifting], [estimator] and [controller] changes that setting only",
         SIZE,
         default=None,
     )
@@ -73,14 +73,14 @@ class Config(Section):
         default=None,
     )
     noise = key(
-        "{}, or one for each output: the standard deviation of the errors of the sensors that the scheme is to expect "
-        "where order is given; noise in [simulation] is what the run has",
+        "{}, or one for each output: the standard deviation of the sensor errors that the scheme expects "
+        "where order is given; noise in [simulation] sets the errors of the run",
         NOT_NEGATIVE,
         list_of(NOT_NEGATIVE),
         default=0.0,
     )
     set_point = key(
-        "{}, or one for each output: where the outputs are to go, whatever constant disturbance acts; if left out, "
+        "{}, or one for each output: the target of the outputs under any constant disturbance; if left out, "
         "outputs and inputs go to zero",
         NUMBER,
         VECTOR,
@@ -95,7 +95,7 @@ class Config(Section):
     simulation = key("{}", table_of(SimulationSection), default=None)
 
     def experiment(self) -> Experiment:
-        """Build what the file describes; InputError, which begins with the key, if sizes do not fit each other."""
+        """Build the experiment; InputError, which begins with the key, if sizes do not fit each other."""
         with _under("plant"):
             plant, z0 = self._plant()
         simulation = self.simulation or SimulationSection({})
@@ -139,13 +139,13 @@ class Config(Section):
             for name in ("input_size", "noise"):
                 self.heeded(name, False, "where [knowledge] or basis functions leave the scheme without running units")
         if units is not None and own:
-            # The model that the file gives says what inputs do, so that there is nothing to be cautious about.
+            # The given model states the effect of inputs, so the first inputs need no caution.
             units = replace(units, model_in_sizes=False, caution=0.0)
         with _under("controller", otherwise="estimator"):
             return Scheme(lifting, estimator, controller, initial_model, mixing, units, set_point)
 
     def _sections(self) -> tuple[LiftingSection, EstimatorSection, ControllerSection]:
-        """Return the three sections; one that is left out beside order changes nothing."""
+        """Return the three sections; where order is given, one that is left out changes nothing."""
         return (
             self.lifting or LiftingSection({}),
             self.estimator or EstimatorSection({}),
@@ -162,7 +162,7 @@ class Config(Section):
     def _initial_model(
         self, section: EstimatorSection, plant: Plant, lifting: DelayLifting, chosen: Scheme | None
     ) -> tuple[SignalModel, bool]:
-        """Return theta~(0), and whether the file gives it, so that it is in the units of the signals."""
+        """Return theta~(0), and whether the file gives it, which means in the units of the signals."""
         A0, B0 = section.A0, section.B0
         if chosen is not None and A0 is None and B0 is None:
             if self.rough is None:
@@ -172,7 +172,7 @@ class Config(Section):
         for whole in ("rough", "shift-of-ones"):
             if whole in (A0, B0):
                 if A0 != B0:
-                    raise InputError(f'A0 and B0 must both be "{whole}" or neither, got one of them; it gives both')
+                    raise InputError(f'A0 and B0 must both be "{whole}" or neither, got one of them; give both')
                 if lifting.basis is not None:
                     raise InputError(
                         f'A0 must not be "{whole}" where x(k) has basis functions, got both; give matrices'
@@ -182,7 +182,8 @@ class Config(Section):
                 return SignalModel.shift_of_ones(plant.p, lifting.outputs, plant.q, lifting.inputs), True
         if self.rough is not None:
             raise InputError(
-                'A0 must be "rough" where there is a section [rough], got another; set it and B0, or drop the section'
+                'A0 must be "rough" where there is a section [rough], got another value; '
+                "set A0 and B0 to it, or remove the section"
             )
         for name, given, other in (("A0", A0, "B0"), ("B0", B0, "A0")):
             if given is None:
@@ -195,14 +196,14 @@ class Config(Section):
     def _reconciled(
         self, section: EstimatorSection, initial_model: SignalModel, constraints: LinearConstraints
     ) -> SignalModel:
-        if section.A0 in ("rough", None):  # it gives way to what is known for certain
+        if section.A0 in ("rough", None):  # the knowledge takes precedence over it
             return constraints.nearest(initial_model)
         try:
             constraints.check("A0 with B0", initial_model)
         except InputError as error:
             what = str(error).partition(";")[0]
             raise InputError(
-                f'{what}; "shift-of-ones" satisfies shift_rows, "rough" gives way to what is known'
+                f'{what}; "shift-of-ones" satisfies shift_rows, known entries replace those of "rough"'
             ) from None
         return initial_model
 
@@ -223,7 +224,7 @@ class Config(Section):
 def load(path: str | os.PathLike[str]) -> Config:
     """Read a run's TOML file.
 
-    InputError if the file is missing or not TOML, or a key is missing, unknown or not what it must be.
+    InputError if the file is missing or not TOML, or a key is missing, unknown or has a wrong value.
     """
     _, data = read_toml(path)
     plant = data.get("plant")
@@ -233,7 +234,7 @@ def load(path: str | os.PathLike[str]) -> Config:
 
 
 def parse(data: dict[str, Any]) -> Config:
-    """Check a run's description as a dictionary; InputError says in a sentence which key does not fit first."""
+    """Check a run's description as a dictionary; InputError names the first key that does not fit."""
     given: Any = data
     if not isinstance(given, dict) or not all(isinstance(name, str) for name in given):
         raise InputError(f"a run must be described by a dictionary of keys, got {describe(data)}")
@@ -242,7 +243,7 @@ def parse(data: dict[str, Any]) -> Config:
     for section in _NEEDED:
         if "order" not in given and section not in given:
             wrong.append((False, f"{section} must be a section, got nothing; add the section, or order in its place"))
-    # An unknown key is often the misspelt twin of a missing one, so it is the more helpful of the two.
+    # An unknown key is often a misspelt required key, so its message is the more helpful one.
     for _, sentence in sorted(wrong, key=lambda entry: not entry[0]):
         raise InputError(sentence)
     for name in ("input_size", "noise"):
@@ -251,9 +252,9 @@ def parse(data: dict[str, Any]) -> Config:
 
 
 def keys() -> Iterator[tuple[str, str]]:
-    """Yield every key with what it must be, in the order of the file; the book's reference is made of this.
+    """Yield every key with its description, in the order of the file, for the book's reference.
 
-    A key of some kinds of plant only says so, and so does one that may be left out.
+    The description names the kinds of plant that have the key, and the value of a key that is left out.
     """
     for table, about in Config.keys().items():
         kinds = about.get("sections", ())
@@ -300,9 +301,9 @@ _EXAMPLE: dict[str, dict[str, object]] = {
 
 
 def template(name: str) -> str:
-    """Return a TOML file for a run of that name that runs as it is, with a comment for each key.
+    """Return a TOML file for a run of that name that is ready to run, with a comment for each key.
 
-    Keys that may be left out stand commented out, so that its scheme is the default one.
+    Optional keys are commented out, so its scheme is the default one.
     """
     try:
         fitted(Config.keys()["name"], name)
@@ -323,7 +324,7 @@ def template(name: str) -> str:
 
 
 def published(name: str, source: str) -> str:
-    """Return a TOML file for a run of that name on a plant that others published: a benchmark or an example.
+    """Return a TOML file for a run of that name on a published plant: a benchmark or an example.
 
     The scheme is chosen from the plant's observability index. InputError, with the nearest names, where there is no
     plant of the name ``source``.

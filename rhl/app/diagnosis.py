@@ -1,4 +1,4 @@
-"""Which assumptions a plant and a scheme meet, before a run and after it: in words, with numbers."""
+"""Diagnosis of a plant and a scheme: which assumptions hold, before a run and after it."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from rhl.trace import Trace
 
 __all__ = ["Diagnosis", "Finding", "Verdict", "diagnose", "diagnose_run"]
 
-# Predicted is a large peak where the plant left alone passes this many times its first output while it is learned: of
-# the plants that do, more than half pass a hundred times, and most of those that pass that are found so.
+# A large peak is predicted if, without control, the plant exceeds this many times its first output during learning.
+# More than half of these plants exceed a hundred times in a run, and they are most of the plants that do.
 _PREDICTED = 30.0
 
 
@@ -50,16 +50,16 @@ def diagnose(
 ) -> Diagnosis:
     """Check the assumptions of the paper for a plant and a scheme, before anything runs.
 
-    A plant that is not linear is judged by its linearisation at zero; ``sensor``, ``actuator`` and ``load`` are what
-    would stand between plant and scheme. With the initial state z0, shape (n,), the peak of the outputs is predicted
-    where the scheme begins without a model. InputError if the plant's sizes do not fit the scheme, z0 does not fit the
+    A nonlinear plant is judged by its linearisation at zero. ``sensor``, ``actuator`` and ``load`` act between plant
+    and scheme. With the initial state z0, shape (n,), the peak of the outputs is predicted if the scheme starts
+    without a model. InputError if the plant's sizes do not fit the scheme, z0 does not fit the
     plant, or its functions misbehave.
 
     Examples
     --------
     >>> from rhl.scheme import default_scheme
-    >>> deaf = LinearPlant([[1.1, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
-    >>> print(diagnose(deaf, default_scheme(1, 1, 2)).findings[1].says)
+    >>> plant = LinearPlant([[1.1, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
+    >>> print(diagnose(plant, default_scheme(1, 1, 2)).findings[1].says)
     the input does not reach the mode 1.1, which does not decay: the smallest singular value of [lambda I - F, G] is 0
     """
     check_plant(plant)
@@ -78,9 +78,9 @@ def diagnose(
 
 
 def diagnose_run(trace: Trace) -> Diagnosis:
-    """Say how a run went, and which assumption is suspect where it did not go well.
+    """Report whether a run converged, and which assumption is suspect if it did not.
 
-    The trace is of one run, InputError if it is a batch; one that stopped early too, its error's ``trace``.
+    The trace may be that of a run that stopped early, its error's ``trace``. InputError if the trace is a batch.
     """
     instance("trace", trace, Trace)
     if trace.y.ndim != 2:
@@ -98,7 +98,7 @@ def _of_plant(plant: Plant, scheme: Scheme, z0: Array | None) -> Iterator[Findin
         except InputError as error:
             yield Finding("Plant", "violated", f"it cannot be linearised at zero: {error}")
             return
-        name = f"of order {plant.n}, not linear as given: what follows is about its linearisation at zero"
+        name = f"of order {plant.n}, nonlinear as given: the findings below are about its linearisation at zero"
     yield Finding(
         "Plant", "note", f"{name}; q = {plant.q}, p = {plant.p}, spectral radius {spectral_radius(linear.F):.4g}"
     )
@@ -117,8 +117,8 @@ def _of_plant(plant: Plant, scheme: Scheme, z0: Array | None) -> Iterator[Findin
         yield Finding(
             "Augmented pair",
             "note",
-            f"x(k) stacks {mp} outputs of a plant of order {n}: a model that is exact on the data has no controllable "
-            "augmented pair then, so its margin must be expected to shrink as the estimate improves",
+            f"x(k) stacks {mp} outputs of a plant of order {n}: a model that is exact on the data then has no "
+            "controllable augmented pair, so its margin is expected to shrink as the estimate improves",
         )
 
 
@@ -141,17 +141,17 @@ def _of_set_point(plant: LinearPlant, r: Array) -> Finding:
 
 
 def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array) -> Iterator[Finding]:
-    """Predict the peak from how far the plant gets by itself while the scheme learns it.
+    """Predict the peak from the growth of the plant without control while the scheme learns it.
 
-    Until m + n + m q steps have passed, the data cannot tell the n + m q directions of past outputs and inputs apart.
-    On the ensembles of the book's page on symptoms this is the peak to within a factor of two in most runs.
+    Until m + n + m q steps have passed, the data do not distinguish the n + m q directions of past outputs and inputs.
+    On the ensembles of the book's page on symptoms this is within a factor of two of the peak in most runs.
     """
     m = min(scheme.lifting.outputs, scheme.lifting.inputs)
     steps = m + plant.n + m * plant.q
     if not np.any(plant.H @ z0):
         return
     largest = float(growth_alone(plant, z0, steps))
-    says = f"left alone, the outputs grow {largest:.3g} times in the {steps} steps that learning takes"
+    says = f"without control, the outputs grow {largest:.3g} times in the {steps} steps that learning takes"
     if largest > _PREDICTED:
         says += f"; {LESS_PEAK}, or sample faster"
     yield Finding("Peak to expect", "suspect" if largest > _PREDICTED else "note", says)
@@ -159,7 +159,7 @@ def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array) -> Iterator[Finding]
 
 def _of_modes(subject: str, modes: Modes, what: str, matrix: str) -> Finding:
     if modes.worst is None:
-        return Finding(subject, "met", "every mode decays by itself")
+        return Finding(subject, "met", "every mode decays without control")
     value, worst = modes.worst
     mode = f"{value.real:.4g}" if abs(value.imag) < 1e-12 else f"{value.real:.4g}{value.imag:+.4g}j"
     if modes.holds:
@@ -178,13 +178,11 @@ def _of_lengths(plant: LinearPlant, scheme: Scheme) -> Finding:
     if m >= plant.n:
         return Finding(subject, "met", lengths)
     if m >= index:
-        return Finding(
-            subject, "met", f"{lengths}; not n, but the observability index {index} is reached, which is enough"
-        )
+        return Finding(subject, "met", f"{lengths}; m reaches the observability index {index}, which is enough")
     return Finding(
         subject,
         "violated",
-        f"{lengths}, and the observability index is {index}: with fewer no linear model of the signals need exist",
+        f"{lengths}, and the observability index is {index}: with fewer, a linear model of the signals need not exist",
     )
 
 
@@ -204,7 +202,7 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
         "violated" if vanishes is False else "met" if vanishes else "note",
         f"{called(controller.epsilon)}: epsilon(0) = {controller.epsilon(0):.3g}, "
         f"epsilon(100) = {controller.epsilon(100):.3g}"
-        + ("" if vanishes is not None else "; whether it tends to zero, only its author knows"),
+        + ("" if vanishes is not None else "; whether it tends to zero is not known"),
     )
     if controller.adaptive:
         yield Finding(
@@ -213,27 +211,27 @@ def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
     lifted, of_pair = float(controllability_margin(scheme.initial_model)), float(controllability_margin(augmented))
     kept = isinstance(scheme.mixing, LambdaSearch)
     asked = scheme.mixing.least_margin if isinstance(scheme.mixing, LambdaSearch) else LOST
-    # With running units the first model is only a place to learn from, and no theorem of the paper treats them.
+    # With running units the first model is only a starting point, and no theorem of the paper covers them.
     lacking: Verdict = "violated" if scheme.units is None else "outside"
     yield Finding(
         "Theorem 2(iii), initial model controllable",
         "met" if min(lifted, of_pair) >= asked else lacking,
         f"smallest singular value of the controllability matrix {lifted:.3g} (lifted pair), {of_pair:.3g} (augmented "
         f"pair); {'lambda is searched' if kept else 'lambda is not searched'}, so controllability is "
-        f"{'kept' if kept else 'not watched'}",
+        f"{'kept' if kept else 'not enforced'}",
     )
     if lifting.basis is not None:
         yield Finding(
             "Basis functions",
             "outside",
-            f"x(k) has {scheme.initial_model.n} entries; that a linear model of them exists (Assumption 7) is a hope, "
-            "look at it after a run",
+            f"x(k) has {scheme.initial_model.n} entries; whether a linear model of them exists (Assumption 7) "
+            "is not known; check it after a run",
         )
     if scheme.units is not None:
         yield Finding(
             "Running units",
             "outside",
-            "weights count signals in sizes that the run shows; Theorem 1 is stated for weights that do not change",
+            "the weights scale signals by sizes observed in the run; Theorem 1 is stated for constant weights",
         )
     n, q = scheme.initial_model.n, scheme.initial_model.q
     whole = isinstance(estimator, GrowingMemory)
@@ -252,7 +250,9 @@ def _of_convexity(loss: Convex | Varying, generator: Convex) -> Iterator[Finding
         verdict, words = _known(part.assumption_6)
         yield Finding(f"Assumption 6, {role}", verdict, f"{called(part)}: {words}")
     if isinstance(loss, Varying):
-        yield Finding("Assumption 6, loss", "note", "varies with k; each must be strictly convex and least at zero")
+        yield Finding(
+            "Assumption 6, loss", "note", "varies with k; each must be strictly convex with its minimum at zero"
+        )
     verdict, words = _known(generator.convex_in_second)
     yield Finding("Lemma 4, D convex in its second argument", verdict, f"that of {called(generator)}: {words}")
 
@@ -282,9 +282,9 @@ def _of_disturbances(
     for name, part in (("Sensor", sensor), ("Actuator", actuator), ("Load", load)):
         if part is not None and part != ():
             what = " and ".join(map(_named, part if isinstance(part, tuple) else (part,)))
-            says = f"{what} stands between scheme and plant; the theory knows none"
+            says = f"{what} acts between scheme and plant; the theory has none"
             if untold and part is not actuator:
-                says += "; the scheme expects no errors: say how large they are, noise"
+                says += "; the scheme expects no errors: set noise to their standard deviation"
             yield Finding(name, "outside", says)
 
 

@@ -193,7 +193,7 @@ class Proximal:
         return self.blocks > 1 and len(self.centre) <= _FEW and _COMPILES
 
     def _compiled(self, e: Array, slope: Array, bend: Array, hold: Array, back: Array) -> Array:
-        from rhl.kernels import loops  # here, because loading the compiler takes longer than loading the rest
+        from rhl.kernels import loops  # imported here, because loading the compiler takes longer than the rest
 
         e, slope, bend, hold, back = (of.reshape(-1, self.blocks) for of in (e, slope, bend, hold, back))
         root, bent = _roots(e, slope, bend)

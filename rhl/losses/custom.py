@@ -122,7 +122,7 @@ class CustomLoss:
         returned = _theirs(function, point, f"{self.name}'s function {role!r} raised this at x of shape {point.shape}")
         try:
             found = numbers(returned)
-        except Exception as error:  # ragged, complex, strings, or whatever an object's own conversion raises
+        except Exception as error:  # ragged, complex, strings, or any error of the object's own conversion
             raise InputError(
                 f"{self.name}'s function {role!r} must return real numbers, got {reason(error)}"
             ) from error

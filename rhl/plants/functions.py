@@ -117,7 +117,7 @@ def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *
         raise
     try:
         raw = np.asarray(returned)
-    except Exception as error:  # ragged, or whatever an object's own conversion raises
+    except Exception as error:  # a ragged list, or any error of the object's own conversion
         raise PlantError(
             f"{name} must return {wanted}, got {describe(returned)}, which is no rectangular array; "
             "return np.array([...]) with one number for each entry"

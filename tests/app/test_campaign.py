@@ -135,7 +135,7 @@ def test_interrupted(folder, capsys, number):
     assert (process.returncode, out) == (130, "")
     assert re.fullmatch(
         r"rhl: interrupted after \d+ of 32 tasks, which are kept; "
-        r"rhl campaign c\.toml --output 'a b' --resume goes on\n",
+        r"rhl campaign c\.toml --output 'a b' --resume continues\n",
         err,
     )
     assert len(list(Path("a b", "done").iterdir())) >= 2
@@ -171,7 +171,7 @@ def test_stopped(folder, capsys, monkeypatch, error, says):
         assert main(["campaign", "c.toml", "--output", "a"]) == 3
     err = said(capsys)[1]
     assert err.startswith(f"rhl: {says}")
-    assert err.endswith("0 of 12 tasks, which are kept; rhl campaign c.toml --output a --resume goes on\n")
+    assert err.endswith("0 of 12 tasks, which are kept; rhl campaign c.toml --output a --resume continues\n")
     assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
 
 
@@ -240,7 +240,7 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
             "R = [1e-4, 0]",
             "schemes[1].R must be a positive number, the weight of inputs, or a list of such, got",
         ),
-        ("R = [1e-4, 1]", "R = []", "schemes[1].R must have an entry at least, got an empty list"),
+        ("R = [1e-4, 1]", "R = []", "schemes[1].R must have at least one entry, got an empty list"),
         (
             "R = [1e-4, 1]",
             "order = 1",
@@ -253,12 +253,12 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
         (
             GOOD[GOOD.index("[[schemes]]") :],
             "",
-            "schemes must be a list of sections [[schemes]], one at least, got nothing",
+            "schemes must be a list of at least one section [[schemes]], got nothing",
         ),
         (
             GOOD[GOOD.index("[[schemes]]") :],
             "[schemes]",
-            "schemes must be a list of sections [[schemes]], one at least, got {}",
+            "schemes must be a list of at least one section [[schemes]], got {}",
         ),
         ("seed = 1", "seed = 1\nschemes = 1\n#", "c.toml must be valid TOML, got: "),
         ("seed = 1", "seed = ", "c.toml must be valid TOML, got: "),
@@ -280,7 +280,7 @@ def test_an_empty_list_of_schemes():
 
     settings = {"name": "a", "seed": 1, "plants": {"kind": "benchmarks"}, "schemes": []}
     with pytest.raises(
-        InputError, match=r"^schemes must be a list of sections \[\[schemes\]\], one at least, got \[\]"
+        InputError, match=r"^schemes must be a list of at least one section \[\[schemes\]\], got \[\]"
     ):
         parse(settings)
 

@@ -399,7 +399,7 @@ def test_a_reader_who_leaves_and_a_full_disk():
     assert gone.stderr == ""
     full = subprocess.run(["bash", "-c", f"{command} > /dev/full"], capture_output=True, text=True, check=False)
     assert full.returncode == cli.BAD_INPUT
-    assert full.stderr == "rhl: standard output must take the table, got: No space left on device\n"
+    assert full.stderr == "rhl: the table must be written to standard output, got: No space left on device\n"
 
 
 def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):

@@ -18,7 +18,7 @@ from rhl.study.compare import Score, compare
 def test_scores_of_one_plant(capsys):
     assert main(["compare", "toy", "--steps", "60"]) == 0
     out = capsys.readouterr().out
-    assert "1 plants, 60 steps, no noise, inputs free" in out
+    assert "1 plants, 60 steps, no noise, no input bounds" in out
     assert "known-plant: 1 of 1 at rest, 1 of them with a peak below 100; median cost 1, " in out
     assert "excite-identify" in out
 
@@ -27,7 +27,7 @@ def test_several_seeds_levels_and_methods(capsys):
     call = ["compare", "toy", "dc-motor", "--steps", "60", "--seeds", "3", "--noise", "0", "--noise", "0.01"]
     assert main([*call, "--method", "known-plant", "--method", "paper"]) == 0
     out = capsys.readouterr().out
-    assert "2 plants, 60 steps, noise 0.01, inputs free" in out
+    assert "2 plants, 60 steps, noise 0.01, no input bounds" in out
     assert "deepc" not in out
     assert out.count("known-plant: 2 of 2 at rest") == 2
     assert "paper: 6 of 6 at rest" in out
@@ -68,7 +68,7 @@ def test_rows(tmp_path, monkeypatch, capsys):
     assert main([*call, "-"]) == 0
     said = capsys.readouterr()
     assert read(said.out)[0]["cost"] == rows[0]["cost"]
-    assert "1 plants, 60 steps, noise 0.01, inputs free" in said.err
+    assert "1 plants, 60 steps, noise 0.01, no input bounds" in said.err
 
 
 def test_what_is_missing_is_empty_and_what_diverged_infinite():

@@ -65,10 +65,14 @@ def test_the_package_is_the_command(folder):
         ("check run.toml >&-", 0, ""),
         ("run missing.toml --output t.csv 2>&-", 2, ""),
         ("--help >&-", 0, ""),
-        ("--help > /dev/full", 2, "rhl: standard output must take the table, got: No space left on device\n"),
-        ("run run.toml --output - >&-", 2, f"rhl: --output must name what can be written, {CLOSED}"),
-        ("run run.toml --output - > /dev/full", 2, "rhl: standard output must take the table, got: No space left on"),
-        ("schema >&-", 2, f"rhl: --output must name what can be written, {CLOSED}"),
+        ("--help > /dev/full", 2, "rhl: the table must be written to standard output, got: No space left on device\n"),
+        ("run run.toml --output - >&-", 2, f"rhl: --output must name a target that can be written, {CLOSED}"),
+        (
+            "run run.toml --output - > /dev/full",
+            2,
+            "rhl: the table must be written to standard output, got: No space left on",
+        ),
+        ("schema >&-", 2, f"rhl: --output must name a target that can be written, {CLOSED}"),
         ("verify --list | head -1", (0, 141), ""),
         ("run run.toml --output - | head -1", (0, 141), ""),
     ],
@@ -130,7 +134,7 @@ def test_a_folder_of_control_characters_is_shown_escaped(folder, capsys):
     Path("a\x1b[31m").mkdir()
     assert cli.main(["new", "a\x1b[31m/mine"]) == 0
     assert capsys.readouterr().out.startswith(
-        "a\\x1b[31m/mine.toml runs as it is: rhl run 'a\\x1b[31m/mine.toml' --output"
+        "a\\x1b[31m/mine.toml is ready to run: rhl run 'a\\x1b[31m/mine.toml' --output"
     )
 
 
@@ -237,7 +241,7 @@ def test_force_keeps_a_good_file_where_no_row_was_made(folder, capsys, monkeypat
 
         monkeypatch.setattr(Experiment, "run", interrupted)
     assert cli.main([*RUN.split(), "--force"]) in (cli.STOPPED, cli.INTERRUPTED)
-    assert capsys.readouterr().err.endswith("; no row came before it, and t.csv stays as it was\n")
+    assert capsys.readouterr().err.endswith("; there is no row before it, and t.csv is unchanged\n")
     assert Path("t.csv").read_bytes() == good
 
 
