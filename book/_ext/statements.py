@@ -84,8 +84,12 @@ def docname_of(claim: Claim) -> str:
 
 
 def leading(claims: list[Claim], name: str) -> Claim:
-    """The claim after which a page, a module or a file of tests is named, such as "theorem-2"; else the first."""
-    return next((claim for claim in claims if claim.id.startswith(name)), claims[0])
+    """The claim after which a page, a module or a file of tests is named, such as "theorem-2", with a check if it can be.
+
+    If no claim has that name, it is the first.
+    """
+    named = [claim for claim in claims if claim.id.startswith(name)] or claims
+    return next(filter(module_of, named), named[0])
 
 
 def test_id(claim: Claim) -> str:

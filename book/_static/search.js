@@ -8,7 +8,7 @@
   const whole = new RegExp(`(^|[^\\p{L}\\p{N}])${RegExp.escape?.(phrase) ?? phrase.replace(/[^\p{L}\p{N} ]/gu, "\\$&")}` +
     "($|[^\\p{L}\\p{N}])", "giu");
   const times = (text) => (phrase ? [...text.matchAll(whole)].length : 0);
-  const titled = (title) => title.toLowerCase().startsWith(phrase) && times(title) > 0;
+  const titled = (title) => title.toLowerCase().replace(/^(the|a|an) /, "").startsWith(phrase) && times(title) > 0;
   const textOf = (docname, anchor) => {
     const texts = rhlTexts[docname] ?? {};
     return anchor ? texts[anchor.slice(1)] ?? "" : Object.values(texts).join(" ");
