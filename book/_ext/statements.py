@@ -84,7 +84,7 @@ def docname_of(claim: Claim) -> str:
 
 
 def leading(claims: list[Claim], name: str) -> Claim:
-    """The claim after which a page, a module or a file of tests is named, such as "theorem-2", with a check if it can be.
+    """The claim after which a page, a module or a file of tests is named, such as "theorem-2"; a checked one, if any.
 
     If no claim has that name, it is the first.
     """

@@ -279,9 +279,7 @@ def test_an_empty_list_of_schemes():
     from rhl import InputError
 
     settings = {"name": "a", "seed": 1, "plants": {"kind": "benchmarks"}, "schemes": []}
-    with pytest.raises(
-        InputError, match=r"^schemes must be a list of at least one section \[\[schemes\]\], got \[\]"
-    ):
+    with pytest.raises(InputError, match=r"^schemes must be a list of at least one section \[\[schemes\]\], got \[\]"):
         parse(settings)
 
 
