@@ -18,6 +18,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import SymmetricalLogLocator
 
 from rhl._checks import Array, instance
 from rhl._files import write_whole
@@ -110,6 +111,8 @@ def held(ax: Axes, values: Array, label: str, **settings: Any) -> None:
     values = np.where(np.abs(values) <= _DRAWABLE, values, np.nan)
     if np.nanmax(np.abs(values), initial=0.0) > 1e6 and ax.get_yscale() == "linear":
         ax.set_yscale("symlog")
+        ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=2.0))
+        cast(SymmetricalLogLocator, ax.yaxis.get_major_locator()).set_params(numticks=7)
     ax.step(np.arange(len(values)), values, where="post", label=label, **settings)
 
 

@@ -31,7 +31,7 @@ def window_and_plan(trace: Trace, k: int) -> Figure:
     window, horizon = trace.scheme.estimator.window, trace.scheme.controller.horizon
     if not window <= integer("k", k, 0) < len(trace) - 1:
         raise InputError(f"k must be from {window} to {len(trace) - 2} for a full window and a next plan, got {k}")
-    figure, (above, below) = panels(2, height=2.3)
+    figure, (above, below) = panels(2, height=2.8)
     last = min(len(trace), k + horizon + 2)
     above.plot(np.arange(k + 1), trace.y[: k + 1, 0], "o", color="C0", label="measured up to $k$")
     above.plot(np.arange(k + 1, last), trace.y[k + 1 : last, 0], "o", mfc="none", color="C0", label="measured later")
@@ -48,8 +48,9 @@ def window_and_plan(trace: Trace, k: int) -> Figure:
         ax.axvspan(k - window, k, color="C2", alpha=0.18, lw=0, label="window of $k$")
         ax.axvspan(k + 1 - window, k + 1, fill=False, ec="C2", ls="--", lw=1, label="window of $k+1$")
         ax.set_ylabel(label)
-    above.legend(loc="lower right", ncols=2)
-    below.legend(loc="upper right")
+    handles, labels = above.get_legend_handles_labels()
+    mine, names = below.get_legend_handles_labels()
+    figure.legend([*handles, mine[0], mine[3]], [*labels, names[0], names[3]], loc="outside lower center", ncols=2)
     return figure
 
 
@@ -131,7 +132,7 @@ def projections(normals: Array, levels: Array, centres: Array, minimisers: Array
     Examples
     --------
     >>> ax = projections(np.eye(2), np.zeros(2), np.ones((3, 2)), np.ones((2, 2)), np.zeros(2)).axes[0]
-    >>> [text.get_text() for text in ax.get_legend().get_texts()][-1]
+    >>> [text.get_text() for text in ax.figure.legends[0].get_texts()][-1]
     'common point of all sets'
     """
     figure = Figure(figsize=(WIDTH, 4.6))
@@ -160,7 +161,7 @@ def projections(normals: Array, levels: Array, centres: Array, minimisers: Array
         xlabel="first entry",
         ylabel="second entry",
     )
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 

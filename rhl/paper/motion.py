@@ -55,7 +55,8 @@ def link(angles: Array, seconds: float, alt: str, caption: str, base: Array | No
     reach = max(float(np.ptp(along)) * _LINK, 1e-9)
     scale = min(1.0, (_WIDTH - 2 * _MARGIN) / reach)
     at = _WIDTH / 2 + scale * _LINK * (along - (along.max() + along.min()) / 2)
-    parts = [f'<line x1="10" x2="{_WIDTH - 10:g}" y1="95" y2="95" stroke="var(--rhl-grid, #c9ccd1)"/>']
+    rail = f'<line x1="10" x2="{_WIDTH - 10:g}" y1="95" y2="95" stroke="var(--rhl-grid, #c9ccd1)"/>'
+    parts = [] if base is None else [rail]
     for k in np.unique(np.linspace(0, len(turns) - 1, _GHOSTS).astype(int)):
         parts.append(f'<g transform="translate({at[k]:.1f} 95)">{_link(turns[k], 0.25)}</g>')
     timing = f'dur="{seconds:g}s" begin="indefinite" fill="freeze" calcMode="linear"'
