@@ -307,13 +307,13 @@ API = [
         "constraints that contradict each other",
         lambda: LinearConstraints([[1.0], [1.0]], [0.0, 1.0]),
         r"^the equalities must not .*got row",
-        "take",
+        "remove",
     ),
     (
         "constraints of 0 = 1",
         lambda: LinearConstraints([[0.0]], [1.0]),
         r"^the equalities must not contradict each other, got",
-        "take",
+        "remove",
     ),
     (
         "M without b",
@@ -447,7 +447,7 @@ API = [
         lambda: scheme(
             initial_model=DEAD, estimator=ProximalEstimator(2, constraints=LinearConstraints([[0.0, 1.0]], [1.0]))
         ),
-        r"^the initial model must satisfy what is known .*got a violation of 1",
+        r"^the initial model must satisfy the equalities .*got a violation of 1",
         "start",
     ),
     ("order 0", lambda: window_scheme(1, 1, 0), r"^order must be an integer of at least 1, got 0", None),

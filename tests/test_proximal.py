@@ -647,13 +647,13 @@ class Half:
         ),
         (
             lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(6)[:1], [7.0])).minimise(c, x, u),
-            r"the centre must satisfy what is known \(M theta = b\), got a violation of 5\.25",
+            r"the centre must satisfy the equalities \(M theta = b\), got a violation of 5\.25",
         ),
         (
             lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(5), np.ones(5))).minimise(
                 c, x, u
             ),
-            "the constraints must be about the 6 parameters of the centre, got 5 columns",
+            "the constraints must have columns for the 6 parameters of the centre, got 5 columns",
         ),
         (
             lambda c, x, u: ProximalEstimator(3, generator=Entropy()).minimise(c, x, u),

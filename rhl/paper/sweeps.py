@@ -197,7 +197,7 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
     >>> len(data["bad"][0]), data["enough"]
     (3, [3])
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     orders = list(orders)
     columns: dict[str, list[Any]] = {"lam": [], "margin": [], "bad": [], "candidates": [], "found": []}

@@ -60,7 +60,7 @@ CONFIGURATIONS = [
     ("huge number", "steps = 1" + "0" * 5000, r"^run.toml must be valid TOML, got: Exceeds the limit", None),
     ("not UTF-8", b"\xff\xfe", r"^run.toml must be a TOML file in UTF-8, got other bytes at position 0", None),
     ("too large", b"#" * 5_000_001, r"^run.toml must be a TOML file of at most 5000000 bytes, got more", None),
-    ("empty", "", r"^name must be a string, what the run is called, without .*, got nothing", "add the key"),
+    ("empty", "", r"^name must be a string, the name of the run, without .*, got nothing", "add the key"),
     ("key of two lines", has("controller", '"a\\nb" = 1'), r"^controller.'a\\nb' is not a known key; expected", None),
     ("name of escapes", but('"linear"\nst', '"a\\u001b[31m"\nst'), r"^name must be a string, .*got 'a.*x1b.31m'", None),
     ("name of two lines", but('"linear"\nst', '"a\\nb"\nst'), r"^name must be a string, .*got 'a.nb'", None),
@@ -243,7 +243,7 @@ CONFIGURATIONS = [
     (
         "known against A0",
         has("knowledge", f'A = [{ANY}, [7, "?", "?", "?"]]'),
-        r"^estimator.A0 with B0 must satisfy what is known .*got a violation of 6",
+        r"^estimator.A0 with B0 must satisfy the equalities .*got a violation of 6",
         '"shift-of-ones"',
     ),
     ("known with 1", has("knowledge", "shift_rows = 1"), r"^knowledge.shift_rows must be true or false.*got 1", None),

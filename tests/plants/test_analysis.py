@@ -257,7 +257,7 @@ def test_linearise_keeps_linear_plants():
 
 
 def test_linearise_refuses():
-    sentence = "^z with v must be an equilibrium, where a step leaves z as it is, got a step that moves z by 0.765"
+    sentence = "^z with v must be an equilibrium, where a step leaves z unchanged, got a step that moves z by 0.765"
     with pytest.raises(InputError, match=sentence):
         linearise(RobotArm(), [1.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"z must have shape \(3,\), got \(2,\)"):

@@ -163,7 +163,7 @@ def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
     Returns the solutions, for v0, v1 and the multiplier mu, and the objective's second derivative along (1, -b1/b0),
     the one direction that leaves xi_2 as it is. ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     x, r, a1, a2 = sp.symbols("x r a1 a2", real=True)
     b0, b1, Q, R = sp.symbols("b0 b1 Q R", positive=True)
@@ -182,7 +182,7 @@ def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
     ``effort`` is not used: nothing is drawn.
     ``R_sign``: 0 takes R = 0 and the stage weight Q = 0, which leaves the solution open.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     x, r = sp.symbols("x r", real=True)
     v0, v1 = sp.symbols("v0 v1")

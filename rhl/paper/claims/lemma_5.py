@@ -29,7 +29,7 @@ _EXACT = "exact: rational numbers"
 
 def is_controllable(A: Any, B: Any) -> bool:
     """Decide controllability of a pair of integers or fractions exactly, by the rank of [B, AB, ...]."""
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     A, block = sp.Matrix(A), sp.Matrix(B)
     C = block

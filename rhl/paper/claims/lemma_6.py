@@ -131,7 +131,7 @@ def check_converse(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
 
 
 def _stabilizing(F: Array, G: Array) -> Array:
-    from scipy.linalg import solve_discrete_are  # here, because it takes a while to load
+    from scipy.linalg import solve_discrete_are  # imported here, because loading it takes long
 
     P = solve_discrete_are(F, G, np.eye(len(F)), np.eye(G.shape[1]))
     return np.asarray(np.linalg.solve(np.eye(G.shape[1]) + G.T @ P @ G, G.T @ P @ F))

@@ -23,7 +23,7 @@ _CURVE = 1e-9
 
 def linear_matrices() -> tuple[Any, Any, Any]:
     """Return F, G, H of the linear example as exact fractions; ValueError if they are not hundredths."""
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     plant = published.linear_example().plant
     assert isinstance(plant, LinearPlant)
@@ -42,7 +42,7 @@ def check_linear_rank(effort: Effort, what: str, modes: tuple[str, ...] | None =
     ``effort`` is not used: nothing is drawn. ``what`` {"input", "output"}: test (F, G) or (F, H).
     ``modes``: eigenvalues to test; those of modulus at least 1 for the input, all for the output, where omitted.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     F, G, H = linear_matrices()
     found = sorted(F.eigenvals())

@@ -24,7 +24,7 @@ _EXACT = "exact: rational numbers"
 
 
 def _rational(pair: Pair) -> tuple[sp.Matrix, sp.Matrix]:
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     return sp.Matrix(pair[0].tolist()), sp.Matrix(pair[1].tolist())
 
