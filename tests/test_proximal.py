@@ -563,10 +563,10 @@ def unknown(**facts):
         ({"generator": Entropy()}, []),
         ({"loss": LogCosh()}, []),
         ({"loss": Varying(lambda k: unknown())}, []),
-        ({"loss": unknown()}, ["Assumption 6 asks for a loss that is .* least at zero: mine is not known to be"]),
+        ({"loss": unknown()}, ["Assumption 6 asks for a loss that is .* minimum at zero: mine is not known to be"]),
         (
             {"loss": unknown(assumption_6=False)},
-            ["Assumption 6 asks for a loss that is .* least at zero: mine is not$"],
+            ["Assumption 6 asks for a loss that is .* minimum at zero: mine is not$"],
         ),
         (
             {"generator": unknown()},

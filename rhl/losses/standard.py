@@ -96,7 +96,12 @@ class LogCosh:
         object.__setattr__(self, "weight", _entrywise(self.weight))
 
     def squares(self) -> WeightedSquares:
-        """X = np.abs(x) / self.scale
+        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
+        return WeightedSquares(self.weight)
+
+    def value(self, x: Array) -> Array:
+        """Return c(x), shape (...)."""
+        t = np.abs(x) / self.scale
         # Near zero the second form would cancel, far from it the first would overflow, and below 1e-8 log cosh t is
         # t^2 / 2. Dividing by t avoids s^2 and t^2, which may leave the range.
         near = np.clip(t, 1e-8, 1)

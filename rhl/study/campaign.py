@@ -153,7 +153,7 @@ class Campaign:
         return self.runs(task.scheme, numbers)
 
     def runs(self, scheme: int, numbers: Sequence[int]) -> dict[str, np.ndarray]:
-        """Run the scheme of that number on the plants in ``numbers``; return ``RUN_VARIABLES``, shape (len(numbers),)."""
+        """Run one scheme on the plants in ``numbers``; return ``RUN_VARIABLES``, shape (len(numbers),)."""
         drawn = [self.plants.draw(i) for i in numbers]
         found = {name: np.empty(len(drawn), about.dtype) for name, about in RUN_VARIABLES.items()}
         groups: dict[tuple[int, int, int, int], list[int]] = defaultdict(list)

@@ -113,7 +113,7 @@ def test_rough_model_refuses():
     with pytest.raises(InputError, match=r"must be a LinearPlant, got RobotArm; pass rhl.plants.analysis.linearise"):
         rough_model(RobotArm(), 1, 1)
     assert rough_model(linearise(RobotArm()), 1, 1).n == 3
-    with pytest.raises(InputError, match="H must not be zero, got outputs that see nothing"):
+    with pytest.raises(InputError, match="H must not be zero, got outputs that are always zero"):
         rough_model(LinearPlant(plant.F, plant.G, 0 * plant.H), 3, 3)
     batch = LinearPlant(np.stack([plant.F] * 2), plant.G, plant.H)
     with pytest.raises(InputError, match=r"must be single matrices, got shapes \(2, 3, 3\)"):

@@ -142,5 +142,5 @@ def test_plants_that_are_not_there():
     with pytest.raises(InputError, match="benchmark must be one of ac3, "):
         BenchmarkPlants(("ac33",))
     fast = RandomPlants(1, 1, growth=(1e3, 1e3), sampling=(10.0,))
-    with pytest.raises(InputError, match="sampling must be short enough that a sample later the state is in"):
+    with pytest.raises(InputError, match="sampling must be short enough to keep the state in"):
         fast.draw(0)
