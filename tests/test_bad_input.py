@@ -550,7 +550,12 @@ KINDS = {
 # Functions of a plant of the user's own, what is wrong with them, and what the message says.
 FUNCTIONS = [
     ("shape", {"f": lambda z, v: [1.0]}, r"^transition\(z, v\) must return .*\(2,\), got shape \(1,\)", "return"),
-    ("ragged", {"f": lambda z, v: [[1.0], [1.0, 2.0]]}, r"^transition.* must return .*not a rectangular array", "return"),
+    (
+        "ragged",
+        {"f": lambda z, v: [[1.0], [1.0, 2.0]]},
+        r"^transition.* must return .*not a rectangular array",
+        "return",
+    ),
     ("NaN", {"f": lambda z, v: z * np.nan}, r"^transition\(z, v\) must be finite at z = 0.*got array\(\[nan", "shift"),
     ("complex", {"f": lambda z, v: z * 1j}, r"^transition\(z, v\) must return .*real numbers, got", "return"),
     ("None", {"f": lambda z, v: None}, r"^transition\(z, v\) must return .*got None", "return"),

@@ -298,7 +298,7 @@ def weakly_reached(delta: float) -> PredictorMaps:
 def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
     """Measure V3's gains, while V1's stay bounded, as the input gain of the second state tends to zero.
 
-    ``effort`` is not used: nothing is drawn. ``least``: the smallest delta.
+    ``effort`` is not used, since nothing is random. ``least``: the smallest delta.
     """
     ours, theirs = [], []
     for delta in np.geomspace(1.0, least, 7):
