@@ -266,5 +266,5 @@ def as_table(nodes: Sequence[Node]) -> str:
             f"{html.escape(names[node.claim.id])}</a></td><td>{readable(node.claim.statement)}<br>"
             f'<span class="standing {node.standing}">{STANDINGS[node.standing]}</span><br>Uses: {uses}.</td></tr>'
         )
-    head = "<tr><th>result</th><th>what it says, how it stands, and what its proof uses</th></tr>"
+    head = "<tr><th>result</th><th>the statement, its standing, and the results that its proof uses</th></tr>"
     return f'<table class="dataframe stacked chain-table"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'

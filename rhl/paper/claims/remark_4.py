@@ -29,7 +29,7 @@ def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = Fal
     """Test the pair (55), lifted or augmented, by PBH: the shortfall of its smallest singular value from the threshold.
 
     ``augmented``: test Remark 4's augmented pair. ``index``: stack as many samples as the observability index.
-    ``deaf``: cut the inputs off the unstable block, so that the plant is not stabilizable.
+    ``deaf``: no input gain in the unstable block, so that the plant is not stabilizable.
     """
     rng = effort.rng("lemma-6.stabilizable")
     short = []

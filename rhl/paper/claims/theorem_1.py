@@ -91,7 +91,7 @@ def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = fallin
     chosen = np.flatnonzero(well_conditioned(model))[: effort.cases]
     loop = close(SignalModel(model.A[chosen], model.B[chosen]), x0[chosen], epsilon)
     size = np.linalg.norm(loop.x if of == "x" else loop.r, axis=-1)
-    return Evidence(len(chosen), float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes")
+    return Evidence(len(chosen), float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes")
 
 
 def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
@@ -184,7 +184,7 @@ def check_changing(
     if not all(holds):
         return Evidence(0, np.nan, why="a hypothesis does not hold on this run")
     return Evidence(
-        effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes"
+        effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes"
     )
 
 
