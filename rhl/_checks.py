@@ -102,7 +102,7 @@ def weight_matrix(name: str, value: ArrayLike, n: int) -> Array:
         np.linalg.cholesky(array)
     except np.linalg.LinAlgError:
         least = np.min(np.linalg.eigvalsh(scaled / 2 + scaled.swapaxes(-1, -2) / 2) * largest[..., 0])
-        beside = "" if least <= 0 else f" beside entries of {largest.max():.3g}"
+        beside = "" if least <= 0 else f" with entries of {largest.max():.3g}"
         raise InputError(f"{name} must be positive definite, got smallest eigenvalue {least:.3g}{beside}") from None
     array.flags.writeable = False
     return array

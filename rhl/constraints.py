@@ -157,7 +157,7 @@ class LinearConstraints:
 
 
 def _least_norm(M: Array, b: Array) -> Array:
-    from scipy.linalg import lstsq  # here, because it takes a while to load
+    from scipy.linalg import lstsq  # imported here, because loading it takes long
 
     return np.asarray(lstsq(M, b)[0])
 

@@ -12,13 +12,13 @@ from rhl.controllability import Augment, controllability_margin
 from rhl.errors import InputError
 from rhl.model import SignalModel
 
-# What a step may look at: above this, one step of the search takes longer than most plants are sampled.
+# The largest family: with more members a step of the search takes longer than most sampling times.
 _MOST = 50_000
 
 
 @dataclass(frozen=True, eq=False)
 class ModelFamily:
-    r"""Initial models around the given one, of whose estimates the controller uses one that is controllable.
+    r"""Initial models around the given one; the controller uses a controllable one of their estimates.
 
     With the fixed centre :math:`\theta_0`, the estimate of all data, as rows [A B], obeys
 
@@ -26,16 +26,16 @@ class ModelFamily:
         \hat\theta(k) = \theta - (\theta - \theta_0) M(k), \qquad M(k) = \rho \, (\Phi_k^\top \Phi_k + \rho I)^{-1},
 
     where theta is the plant's own signal model and the rows of :math:`\Phi_k` are the data [x; u] up to k. The estimate
-    from :math:`\theta_0 + E` is therefore :math:`\hat\theta(k) + E M(k)`. For :math:`E^* = \theta - \theta_0`, which is
-    unknown, it is theta at every k. Each minor of the controllability matrix is a polynomial in E whose value at
-    :math:`E^*` never changes; on a finite set of E that determines polynomials of its total degree it cannot be small
-    throughout. The member in use is changed only where its margin falls below a share of the largest one, and such
-    changes end. This is Theorem 4 of the book, not the paper's.
+    from :math:`\theta_0 + E` is therefore :math:`\hat\theta(k) + E M(k)`. For the unknown :math:`E^* = \theta -
+    \theta_0` it is theta at every k. Each minor of the controllability matrix is a polynomial in E with a constant
+    value at :math:`E^*`. On a finite set of E that determines polynomials of this total degree, it therefore cannot be
+    small everywhere. The member in use changes only if its margin falls below a share of the largest one, and these
+    changes end. This is Theorem 4 of the book, not of the paper.
 
     Parameters
     ----------
     shifts : array_like, shape (count, p, n + N_v q)
-        What is added to the first p rows of the initial model's [A B]; one of them must be zero.
+        Increments of the first p rows of the initial model's [A B]; one of them must be zero.
     hysteresis : float
         In (0, 1): the share of the largest margin that the member in use must keep.
 
@@ -80,7 +80,7 @@ class ModelFamily:
         count = comb(variables + degree, degree)
         if count > _MOST:
             raise InputError(
-                f"the grid must have at most {_MOST} members, got {count} for these sizes; give shifts of your own"
+                f"the grid must have at most {_MOST} members, got {count} for these sizes; give your own shifts"
             )
         return cls(size * np.reshape(_lower_set(variables, degree), (count, p, of_y + of_v)), hysteresis)
 
@@ -99,7 +99,7 @@ class ModelFamily:
         return np.asarray(np.argmin(np.maximum(*gaps), axis=-1))
 
     def choose(self, current: np.ndarray, estimate: SignalModel, spread: Array, augment: Augment) -> SignalModel:
-        """Return the member in use: the current one, or the best where its margin has become too small.
+        """Return the member in use: the current one, or the best one if the current margin is too small.
 
         ``current`` is its index, shape (...), and ``augment`` is Remark 4's augmentation.
         """
@@ -113,7 +113,7 @@ class ModelFamily:
 
 
 def _nodes(count: int) -> list[float]:
-    """Return different numbers in [-1, 1], zero first, then from the outside: 0, 1, -1, 1/2, -1/2, 3/4, ..."""
+    """Return distinct numbers in [-1, 1], zero first: 0, 1, -1, 1/2, -1/2, 3/4, ..."""
     found, level = [0.0, 1.0, -1.0], 2
     while len(found) < count:
         for i in range(1, level, 2):
@@ -125,7 +125,7 @@ def _nodes(count: int) -> list[float]:
 def _lower_set(variables: int, degree: int) -> list[Array]:
     """Return points that determine each polynomial of total degree at most ``degree``, zero first.
 
-    On nodes whose indices form a lower set, here those with a sum of at most ``degree``, interpolation is unique.
+    Interpolation is unique on nodes whose indices form a lower set, here those with a sum of at most ``degree``.
     """
     nodes = np.array(_nodes(degree + 1))
     indices: list[list[int]] = [[]]

@@ -14,10 +14,10 @@ from rhl.errors import InfeasibleError, NotFiniteError
 from rhl.model import PredictorMaps, SignalModel
 from rhl.problems import V1, V2, V3, InputBounds, Predictor, Problem
 
-# V3 is infeasible if the terminal state misses r by more than this share of max(|x|, |r|) and of what x grows to.
+# V3 is infeasible if the terminal state misses r by more than this share of max(|x|, |r|) and of the largest |x_i|.
 _FEASIBLE_RTOL = 1e-9
 
-# An input counts as at its bound within this share of the bounds' width: the root of what the solver is asked for.
+# An input counts as at its bound within this share of the bounds' width, the root of the solver's tolerance.
 _AT_BOUND = 1e-5
 
 # Terminal rows whose singular value is below this share of the largest are rounding.
@@ -31,7 +31,7 @@ class Plan:
     Attributes
     ----------
     problem : V1, V2 or V3
-        What was solved.
+        The problem that was solved.
     u : array, shape (..., N, q)
         Optimal inputs u_0 ... u_{N-1}; the scheme applies the first.
     x : array, shape (..., N+1, n)
@@ -65,10 +65,10 @@ class Plan:
 
         The largest of: how far x is from the prediction (5) under u; how far the gradient of the objective along
         feasible directions is from zero; in V3, how far x_N is from r; with bounds, how far the inputs are outside of
-        them, relative to their width. Each other one is relative to the sum of the absolute values of the terms that
-        cancel in it, so that about 1e-15 is the best there is; with an active bound it is about 1e-7, the root of what
-        is asked of the solver of quadratic programmes. Where an unstable model grows along the horizon, the terms that
-        cancel are large, and a small residual says little.
+        them, relative to their width. Each of the others is relative to the sum of the absolute values of the terms
+        that cancel in it, so the best attainable value is about 1e-15. With an active bound it is about 1e-7, the root
+        of the tolerance of the quadratic programme. If an unstable model grows along the horizon, the terms that cancel
+        are large, and a small residual means little.
         """
         problem = self.problem
         maps = problem.model if isinstance(problem.model, PredictorMaps) else problem.model.predictor(problem.horizon)
@@ -96,7 +96,7 @@ class Plan:
             outside, gradient, size = _held(problem.bounds, self.u, gradient, size)
             gaps.append(outside)
         if isinstance(problem, V3):
-            # Whatever part of the gradient is a combination of the terminal rows is held by r's multiplier.
+            # The multiplier of r accounts for the part of the gradient in the span of the terminal rows.
             rows = effect[..., -1, :, :, :].reshape(*effect.shape[:-4], maps.n, -1)
             flat = gradient.reshape(*gradient.shape[:-2], -1, 1)
             basis, strength, _ = np.linalg.svd(rows.swapaxes(-1, -2), full_matrices=False)
@@ -121,24 +121,24 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
     InfeasibleError
         If V3's terminal state cannot be reached.
     NotSolvedError
-        If the quadratic programme that bounds leave is not solved to its tolerance.
+        If the quadratic programme with bounds is not solved to its tolerance.
     InputError
         If x has another size or is not finite, batch axes do not broadcast, or the plan overflows (NotFiniteError).
 
     Notes
     -----
-    A Riccati recursion in square-root form: the cost to go is carried as a triangular factor S with P = S'S, each stage
-    one sweep of orthogonal rotations, so that P is never formed, never loses symmetry, and never squares a condition
-    number.
+    The solver is a Riccati recursion in square-root form. It carries the cost to go as a triangular factor S with
+    P = S'S, and each stage is one sweep of orthogonal rotations. P is never formed, so no condition number is squared
+    and no symmetry lost.
 
-    V2 and V3 are solved without a terminal cost first. Their objective (for V2: the norm to be least among minimisers)
-    is then that of the solution plus :math:`\sum_i |w_i|^2`, where :math:`w_i = V_i (u_i + K_i x_i)`, and the
-    terminal state is linear in w: what remains is the shortest w that brings it where it is asked to be. Where
-    part of the signal cannot be steered at all and grows along the horizon, by g say, rounding of V2 and V3 grows with
-    it: a loss of about g / 1e16, and for g above 1e10 the two are not to be trusted.
+    V2 and V3 are solved without a terminal cost first. Their objective (for V2 the norm that selects among
+    minimisers) is then that of the solution plus :math:`\sum_i |w_i|^2`, where :math:`w_i = V_i (u_i + K_i x_i)`, and
+    the terminal state is linear in w: the least-norm w for the required terminal state remains to be found. If an
+    uncontrollable part of the signal grows along the horizon by a factor g, the rounding of V2 and V3 grows to about g
+    / 1e16; do not trust either for g above 1e10.
 
-    V1 with bounds is V1 where its plan keeps them. Elsewhere what remains is the shortest w within them, a quadratic
-    programme whose condition is not that of the weights, which PIQP or scipy solves.
+    V1 with bounds is V1 if its plan keeps them. Otherwise PIQP or scipy finds the least-norm w within the bounds, a
+    quadratic programme whose condition number does not depend on that of the weights.
 
     Examples
     --------
@@ -166,13 +166,13 @@ def first_input(
     Q, R, QN = factors
     K, _, _ = gains(*_scaled(weight, QN, model.A, model.B, Q, R), horizon)
     u, _ = rollout(model.A, model.B, K[..., :1, :, :], np.zeros((1, model.q)), x)
-    return real_array("the first input planned", u[..., 0, :])
+    return real_array("the first planned input", u[..., 0, :])
 
 
 def _scaled(
     weight: Array, QN: Array, A: Array, B: Array, Q: Array, R: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the recursion's data; divided by the weight where that is above one, no square leaves float64's range."""
+    """Return the recursion's data, divided by a weight above one, so that no square leaves the range of float64."""
     root = np.sqrt(np.asarray(weight))[..., None, None]
     up, down = np.minimum(root, 1.0), np.maximum(root, 1.0)
     return QN * up, A, B, Q / down, R / down
@@ -196,7 +196,8 @@ def _solve(problem: Problem, x: Array) -> Plan:
     u, states = rollout(A, B, K, push, state)
     if isinstance(problem, V1) and problem.bounds is not None and np.any(_outside(problem.bounds, u) > 0):
         u = _within(problem.bounds, A, B, K, V, state, u)
-        # The feedback of a state that grows, and what keeps its inputs in bounds, would cancel in another rollout.
+        # Another rollout would cancel the feedback of a growing state against the correction that keeps inputs in
+        # bounds.
         u, states = rollout(A, B, np.zeros_like(K), u, state)
     return Plan(problem, u, states[..., :n])
 
@@ -206,8 +207,8 @@ def condensed_hessian(problem: V1) -> Array:
 
     .. math:: H = \bar R + \Psi^\top \bar Q \Psi, \qquad (x_1, \dots, x_N) = \Phi x_0 + \Psi (u_0, \dots, u_{N-1})
 
-    ``solve`` does not use it; its condition number tells what the widespread way of solving V1, a Cholesky
-    factorisation of H, would lose.
+    ``solve`` does not use it. Its condition number gives the accuracy lost by the common method for V1, a Cholesky
+    factorisation of H.
 
     Examples
     --------
@@ -227,9 +228,9 @@ def condensed_hessian(problem: V1) -> Array:
 
 
 def _pushes(problem: V2 | V3, A: Array, B: Array, K: Array, V: Array, state: Array) -> Array:
-    """Return what V2 and V3 add to the inputs -K x, shape (..., N, q)."""
+    """Return the inputs of V2 and V3 in addition to -K x, shape (..., N, q)."""
     n, q = problem.model.n, problem.model.q
-    # Loop invariant: L takes the state at a stage to the terminal state (in V2's norm) if nothing is added from there.
+    # Loop invariant: L maps the state at a stage to the terminal state (in V2's norm) under -K x alone.
     end = factor(np.asarray(problem.QN)) if isinstance(problem, V2) else np.eye(n)
     L = np.concatenate([end, np.zeros((*end.shape[:-1], A.shape[-1] - n))], axis=-1)
     columns: list[Array] = []
@@ -237,7 +238,7 @@ def _pushes(problem: V2 | V3, A: Array, B: Array, K: Array, V: Array, state: Arr
     for i in reversed(range(problem.horizon)):
         BV = B @ np.linalg.inv(V[..., i, :, :])  # V'V = R + B'PB; its condition is R's and that of the step
         columns.append(L @ BV)
-        # What L does not look at (predictions beyond the horizon) adds no rounding.
+        # Predictions beyond the horizon do not enter L, so they add no rounding.
         seen = np.any(L != 0, axis=-2)[..., None]
         sizes.append(_norm(L)[..., None] * np.linalg.norm(BV * seen, axis=-2))
         L = np.asarray(L @ (A - B @ K[..., i, :, :]))
@@ -266,7 +267,7 @@ def _outside(bounds: InputBounds, u: Array) -> Array:
 
 
 def _within(bounds: InputBounds, A: Array, B: Array, K: Array, V: Array, x: Array, u: Array) -> Array:
-    """Return the inputs u of a batch, with those replaced that leave the bounds, shape (..., N, q)."""
+    """Return the inputs u of a batch, with plans outside the bounds replaced, shape (..., N, q)."""
     leaves = _outside(bounds, u) > 0
     lead = leaves.shape
     parts = ((A, 2), (B, 2), (K, 3), (V, 3), (x, 1), (bounds.low, 1), (bounds.high, 1))
@@ -278,9 +279,9 @@ def _within(bounds: InputBounds, A: Array, B: Array, K: Array, V: Array, x: Arra
 
 
 def _held(bounds: InputBounds, u: Array, gradient: Array, size: Array) -> tuple[Array, Array, Array]:
-    """Return how far inputs are outside of bounds, and the gradient without the part that bounds hold, with its size.
+    """Return the violation of bounds, and the gradient without the part that active bounds balance, with its size.
 
-    The gradient is taken with respect to what is bounded; at a bound only its part that points inside counts.
+    The gradient is with respect to the bounded quantities; at a bound only its part that points inside counts.
     """
     outside = _outside(bounds, u)
     if bounds.summed:
@@ -296,9 +297,9 @@ def _held(bounds: InputBounds, u: Array, gradient: Array, size: Array) -> tuple[
 
 
 def _chain(model: Predictor) -> tuple[Array, Array, Array]:
-    """Write the prediction as a linear system: where it begins, A and B; its state begins with x_i.
+    """Write the prediction as a linear system: initial state, A and B; the first entries of the state are x_i.
 
-    A signal model is one. General maps become one by carrying the free response: the state at stage i holds the
+    A signal model is one. General maps become one with the free response as state: the state at stage i holds the
     predictions of x_i, x_{i+1}, ... under the inputs before i, and u_i shifts them by 0, B_0, B_1, ...
     """
     if isinstance(model, SignalModel):

@@ -13,7 +13,7 @@ from rhl.model import SignalModel
 
 
 def remember(history: Array, newest: Array) -> Array:
-    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first; the oldest row falls out. Batches broadcast.
+    """Push ``newest`` (..., p) onto ``history`` (..., T, p), newest first, and drop the oldest row. Batches broadcast.
 
     Examples
     --------
@@ -27,13 +27,13 @@ def remember(history: Array, newest: Array) -> Array:
 
 @dataclass(frozen=True)
 class DelayLifting:
-    r"""Stack the last outputs and inputs, equations (14) and (22), and append functions of the outputs if wished.
+    r"""Stack the last outputs and inputs, equations (14) and (22), and append optional functions of the outputs.
 
     .. math::
         w(k) = [y(k); \dots; y(k-N_y+1)], \qquad x(k) = [w(k); \varphi(w(k))], \qquad u(k) = [v(k); \dots; v(k-N_v+1)]
 
-    Signals before k = 0 are zero, as in the paper (after equation (17)). Inputs are stacked and nothing else, so that
-    v(k) can be read off u(k).
+    Signals before k = 0 are zero, as in the paper (after equation (17)). u(k) holds stacked inputs only, so
+    that v(k) can be read off it.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class DelayLifting:
         if self.basis is None:
             p = max(n // self.outputs, 1)
         else:
-            # Terms refuse sizes that lack an output that they name, so the sizes are tried from the largest down.
+            # Terms refuse sizes without an output that they name, so sizes are tried from the largest down.
             fitting = [p for p in range(n // self.outputs, 0, -1) if self._is_size(p, n)]
             p = fitting[0] if fitting else 0
         if p == 0 or self.size(p) != n:

@@ -1,4 +1,4 @@
-"""The scheme in the loop with hardware: measured outputs in, inputs out, saved and restored in mid-run."""
+"""The scheme in the loop with hardware: measured outputs to inputs, with save and restore during a run."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _ARRAYS = ("y", "v", "stage", "value", "size", "data")
 
 
 class LiveController:
-    """A scheme that runs: the one object of the library that changes.
+    """A running scheme, the only mutable object of the library.
 
     Parameters
     ----------
     scheme : Scheme
         The scheme.
     state : ControllerState, optional
-        Where it goes on from; where omitted, before k = 0.
+        The state to continue from; by default that before k = 0.
 
     Attributes
     ----------
     scheme : Scheme
     state : ControllerState
-        What the next step starts from. It holds the input computed last as the one applied.
+        The state before the next step. It holds the last computed input as the applied one.
 
     Examples
     --------
@@ -63,9 +63,9 @@ class LiveController:
     def step(self, y: ArrayLike, applied: ArrayLike | None = None) -> Array:
         """Return the input v(k), shape (q,), for the measured output y(k), shape (p,).
 
-        ``applied`` is the input that the actuator let through since the step before, where it is not the one returned
-        then. Where an exception is raised, the controller is as it was, so that the step can be taken again with
-        another measurement. InputError, DivergedError and others as by ``rhl.step``.
+        ``applied`` is the input that the actuator applied since the previous step, if it differs from the returned one.
+        After an exception the controller is unchanged, so the step can be repeated with another measurement.
+        InputError, DivergedError and others as by ``rhl.step``.
         """
         state = self.state
         if applied is not None:
@@ -87,21 +87,21 @@ class LiveController:
 
     @classmethod
     def restore(cls, scheme: Scheme, path: str | os.PathLike[str]) -> LiveController:
-        """Go on from a file that ``save`` wrote, with the scheme that was running then.
+        """Continue from a file that ``save`` wrote, with the scheme that wrote it.
 
-        InputError if the file cannot be read, is no such file, or was saved with a scheme of other sizes. The next
-        inputs are those of the run that was saved, to the last bit.
+        InputError if the file cannot be read, is not a saved state, or was saved with a scheme of other sizes. The next
+        inputs equal those of the saved run exactly.
         """
         instance("scheme", scheme, Scheme)
         try:
-            # Without pickle no file can run code.
+            # Without pickle a file cannot run code.
             with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
                 found: dict[str, Any] = dict(file)
             model = SignalModel(found["A"], found["B"])
             arrays = {name: real_array(name, found[name]) for name in _ARRAYS if name in found}
             state = ControllerState(int(found["k"]), model=model, **arrays)
         except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
-            reason = getattr(error, "strerror", None) or "no state that LiveController.save wrote"
+            reason = getattr(error, "strerror", None) or "a file that LiveController.save did not write"
             raise InputError(f"{shown(path)} must be a saved state, got: {reason}") from error
         return cls(scheme, state)
 

@@ -1,4 +1,4 @@
-"""An estimator that forgets nothing: every measured transition, in a triangle that does not grow."""
+"""An estimator that uses every measured transition, with memory of constant size."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ class GrowingMemory:
         \theta^*(k) = \arg\min_\theta \sum_{j=m}^{k} |x(j) - A x(j-1) - B u(j-1)|^2
             + \rho |\theta - \tilde\theta(k-1)|^2
 
-    This is equation (15) with squares and a window that grows from the first transition without a zero from before
-    k = 0, m = max(N_y, N_v). The loss never falls in k, so that the iterates of Lemma 4 converge into X as printed.
-    The transitions are kept as the triangle of their orthogonal factorisation: memory and time of a step are constant.
-    Nothing is forgotten, so a plant that changes, and an output that once was wrong, stay in the estimate.
+    This is equation (15) with squares and a growing window. The window starts at m = max(N_y, N_v), the first
+    transition without zeros from before k = 0. The loss never decreases in k, so the iterates of Lemma 4 converge into
+    X as printed. The transitions are stored as the triangle of their orthogonal factorisation, so memory and time of a
+    step are constant. No data are discarded, so changes of the plant and outliers affect all later estimates.
 
     Parameters
     ----------
     weight : float
-        :math:`\rho`, positive. With ``RunningUnits`` it counts signals in their sizes; without, in squares of x and u.
+        :math:`\rho`, positive. With ``RunningUnits`` it is relative to the sizes of signals; otherwise it has the unit
+        of squares of x and u.
 
     Examples
     --------
@@ -41,7 +42,7 @@ class GrowingMemory:
 
     weight: float = 1e-10
 
-    # What the other parts ask of any estimator.
+    # Attributes that other parts expect of every estimator.
     window = 1
     by_rows = False
     constraints = None
@@ -52,7 +53,7 @@ class GrowingMemory:
         positive("weight", self.weight)
 
     def begin(self, n: int, q: int) -> Array:
-        """Return the memory without a transition, shape (n + q, 2 n + q), for x of size n and u of size q."""
+        """Return the memory without transitions, shape (n + q, 2 n + q), for x of size n and u of size q."""
         return np.zeros((n + q, 2 * n + q))
 
     def remember(self, data: Array, x: Array, u: Array) -> Array:
@@ -70,7 +71,7 @@ class GrowingMemory:
         return from_lanes(triangle, lead)
 
     def minimise(self, centre: SignalModel, data: Array, size: Array | None = None) -> SignalModel:
-        """Return theta*(k) for the memory; ``size``, (..., n + q), are the sizes of [x; u], one where left out."""
+        """Return theta*(k) for the memory; ``size``, (..., n + q), are the sizes of [x; u], one if left out."""
         from rhl.kernels import loops
 
         instance("centre", centre, SignalModel)
@@ -87,19 +88,19 @@ class GrowingMemory:
         return SignalModel(found[..., :n], found[..., n:])
 
     def unknown(self, data: Array, size: Array | None = None) -> Array:
-        r"""Return the share of the variance of each column of theta that the memory leaves open, shape (..., n + q).
+        r"""Return the posterior share of the prior variance of each column of theta, shape (..., n + q).
 
         .. math:: \rho s_i^2 \, \big[(T^\top T + \rho \, \mathrm{diag}(s)^2)^{-1}\big]_{ii}
 
         This is the posterior over the prior variance of a Bayesian linear regression with the prior variance
-        :math:`s_i^{-2}` and errors of variance :math:`\rho`: one before anything is remembered, and near zero once the
-        data tell the column from the others. ``data`` and ``size``, s, are as ``minimise`` takes them.
+        :math:`s_i^{-2}` and errors of variance :math:`\rho`: one for an empty memory, and near zero once the
+        data determine the column. ``data`` and ``size``, s, are as ``minimise`` takes them.
         """
         root = self._root_of_spread(data, size)
         return np.asarray(np.sum(np.square(root), axis=-1))
 
     def spread(self, data: Array) -> Array:
-        r"""Return what the memory leaves of a distance to the centre, shape (..., n + q, n + q).
+        r"""Return the factor by which the memory reduces a distance to the centre, shape (..., n + q, n + q).
 
         .. math:: M = \rho \, (T^\top T + \rho I)^{-1}
 
@@ -134,11 +135,11 @@ class GrowingMemory:
     def newton_decrement(
         self, model: SignalModel, centre: SignalModel, after: Array, before: Array, u: Array, size: Array | None = None
     ) -> Array:
-        """Certify an answer from the transitions themselves: how far a model is from the minimiser, shape (...).
+        """Certify a solution from the transitions themselves: the distance of a model from the minimiser, shape (...).
 
         ``after`` and ``before``, shape (..., T, n), hold x(j) and x(j-1) of T transitions, ``u``, shape (..., T, q),
         holds u(j-1); ``size`` is that of ``minimise``. Returns Newton's step relative to the model, as
-        ``ProximalEstimator.newton_decrement`` does; both count in the metric of the weight.
+        ``ProximalEstimator.newton_decrement`` does; both are in the metric of the weight.
         """
         theta, held = (np.concatenate([of.A, of.B], axis=-1) for of in (model, centre))
         known, d = np.concatenate([before, u], axis=-1), theta.shape[-1]

@@ -63,7 +63,7 @@ class PredictorMaps:
 
     @property
     def horizon(self) -> int:
-        """The furthest step N that the maps predict."""
+        """The last step N that the maps predict."""
         return int(self.B.shape[-3])
 
     def predict(self, x0: ArrayLike, u: ArrayLike) -> Array:
@@ -140,11 +140,12 @@ class SignalModel:
 
     @classmethod
     def companion_of_ones(cls, n: int, q: int, inputs: InputMatrix = "last-row-of-ones") -> SignalModel:
-        """Build the controllable initial model behind the paper's data: A(0) has ones above the diagonal and last.
+        """Build the controllable initial model behind the paper's data.
 
-        The paper only says "a controllable signal model" (Section VI); this one is observed from the published curves.
-        B(0) is zero but for a last row of ones ("last-row-of-ones", linear example), or the first q columns of the
-        identity with their last row set to ones ("eye-last-row-of-ones", robot arm).
+        A(0) has ones above the diagonal and in the last row. The paper only says "a controllable signal model" (Section
+        VI); this one was inferred from the published curves. B(0) is zero except for a last row of ones
+        ("last-row-of-ones", linear example), or the first q columns of the identity with their last row set to ones
+        ("eye-last-row-of-ones", robot arm).
 
         Examples
         --------
@@ -162,7 +163,7 @@ class SignalModel:
 
     @classmethod
     def shift_of_ones(cls, p: int, outputs: int, q: int, inputs: int) -> SignalModel:
-        """Build an initial model that moves stacked outputs along, and knows nothing else.
+        """Build an initial model that shifts stacked outputs and contains no other knowledge.
 
         The first p rows of A and B, which predict y(k+1), are ones; the others are those of a delay lifting of that
         many outputs and inputs, which ``LinearConstraints.shift`` holds fixed.
@@ -210,7 +211,7 @@ class SignalModel:
             return PredictorMaps(A, A[..., :-1, :, :] @ self.B[..., None, :, :])
 
     def counted(self, of_x: Array, of_u: Array) -> SignalModel:
-        """Return the model of the signals counted anew: x times of_x, shape (..., n), and u times of_u, (..., q).
+        """Return the model of the rescaled signals: x times of_x, shape (..., n), and u times of_u, (..., q).
 
         Examples
         --------

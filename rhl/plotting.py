@@ -1,4 +1,4 @@
-"""Traces as matplotlib figures, for light and dark pages; the one place that decides how a figure looks."""
+"""Traces as matplotlib figures, for light and dark pages; all settings of a figure's appearance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rhl.trace import Trace
 
 ThemeName = Literal["light", "dark"]
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; for each page the shades that stand out from it.
+# Okabe and Ito's colours, distinguishable by the colour-blind, in shades with enough contrast for each page.
 _COLOURS = {
     "light": {"text": "#222832", "grid": "#c9ccd1", "cycle": ["#0072b2", "#d55e00", "#009e73", "#aa4499"]},
     "dark": {"text": "#ced6dd", "grid": "#48566b", "cycle": ["#56b4e9", "#e69f00", "#3fc59d", "#e08ac8"]},
@@ -35,7 +35,7 @@ _COLOURS = {
 
 
 FORMATS = (".svg", ".pdf", ".png")
-# Inches. A figure as wide as a phone shows it at its own size, so that its type is as large as it says.
+# Inches: the width of a phone, which therefore shows a figure and its type at their own size.
 WIDTH = 4.2
 # Points of type that a figure of that width must have for 11 pixels on a page 358 pixels wide.
 _LEAST_TYPE = 11 * 72 * WIDTH / 358
@@ -158,7 +158,7 @@ def run(trace: Trace, title: str = "") -> Figure:
     for ax in axes[2:]:
         ax.set_yscale("log")
     if title:
-        # The title is a string and no formula, whatever is in it.
+        # The title is plain text, not a formula, even if it contains a dollar sign.
         axes[0].set_title(title[:60].replace("$", r"\$"), fontsize=10, parse_math=False)
     return figure
 
@@ -183,12 +183,12 @@ class Picture:
                 f'src="data:image/svg+xml;base64,{data}" alt="{html.escape(self.alt)}">'
             )
 
-        # A page without the book's theme switch (a notebook opened by itself) shows the light one only.
+        # A page without the book's theme switch, such as a notebook outside the book, shows the light image only.
         alone = "html:not([data-theme])"
         rule = f"<style>{alone} .rhl-dark{{display:none}}{alone} .rhl-light{{background:#fff}}</style>"
         images = f"{rule}{image('light', self.light)}{image('dark', self.dark)}"
         caption = f"<figcaption>{html.escape(self.caption)}</figcaption>" if self.caption else ""
-        # Images by themselves: the theme hides a caption that follows an image of the other theme.
+        # Images have their own div: the theme hides a caption that follows an image of the other theme.
         return f'<figure class="rhl-figure"><div>{images}</div>{caption}</figure>'
 
 
@@ -200,9 +200,9 @@ def show(draw: Callable[[], Figure], alt: str, caption: str = "") -> Picture:
     draw : callable
         Makes the figure; called once for each theme with its settings in force.
     alt : str
-        What is to be seen, in a sentence, for those who cannot see it; InputError if it is not a sentence.
+        The content of the figure in a sentence, for readers who cannot see it; InputError if it is not a sentence.
     caption : str
-        What is drawn, in a sentence too, for everybody; every figure of the book has one.
+        The caption, also a sentence; every figure of the book has one.
 
     InputError also if the figure's type is too small to be read on a phone.
 
@@ -282,5 +282,5 @@ def _readable(figure: Figure) -> None:
 
 
 def _themed(theme: ThemeName) -> AbstractContextManager[None]:
-    # matplotlib's stubs spell out every key; a plain dictionary is what it takes.
+    # matplotlib's stubs list every key, but it accepts a plain dictionary.
     return mpl.rc_context(cast(Any, style(theme)))

@@ -15,16 +15,16 @@ Predictor = SignalModel | PredictorMaps
 
 @dataclass(frozen=True, eq=False)
 class InputBounds:
-    r"""Bounds that the inputs of a plan keep: low <= u_i <= high, entry by entry.
+    r"""Bounds on the inputs of a plan: low <= u_i <= high, entry by entry.
 
-    The paper names bounds in its outlook (Section VII); its theory does not treat them.
+    The paper names bounds in its outlook (Section VII); its theory does not cover them.
 
     Parameters
     ----------
     low, high : array_like, shape (..., q)
         InputError if low is not below high throughout.
     summed : bool
-        Whether they hold for u_0 + ... + u_i instead, as they do where u is an increment of the input.
+        Whether they apply to u_0 + ... + u_i instead, as for increments u of the input.
     """
 
     low: Array
@@ -52,7 +52,8 @@ class V1:
     model : SignalModel or PredictorMaps
         Predictor; a signal model stands for its powers, equation (21).
     Q, QN : float or array_like, shape (n, n)
-        Stage and terminal weight, symmetric positive definite (Assumption 3); a number is that times the identity.
+        Stage and terminal weight, symmetric positive definite (Assumption 3); a number stands for that multiple of the
+        identity.
     R : float or array_like, shape (q, q)
         Input weight, symmetric positive definite.
     weight : array_like, shape (...)
@@ -60,13 +61,13 @@ class V1:
     horizon : int
         N, at least 1.
     bounds : InputBounds, optional
-        What the inputs must keep; not in equation (3).
+        Bounds on the inputs; not in equation (3).
 
     Examples
     --------
     >>> from rhl.horizon import solve
     >>> plan = solve(V1(SignalModel([[1.0]], [[1.0]]), Q=1.0, R=1.0, QN=1.0, weight=1e9, horizon=2), [1.0])
-    >>> bool(abs(plan.x[-1, 0]) < 1e-8)  # the terminal state is dear
+    >>> bool(abs(plan.x[-1, 0]) < 1e-8)  # the terminal state is expensive
     True
     """
 
@@ -94,11 +95,11 @@ class V1:
 
 @dataclass(frozen=True, eq=False)
 class V2:
-    r"""How close to zero the terminal state can be brought, equation (10).
+    r"""The problem of least terminal cost, equation (10).
 
     .. math:: V_2 = \min\; \xi_N^\top Q_N \xi_N
 
-    Its solution is not unique; solved for is the one of least :math:`\sum_i |\xi_i|^2 + |\nu_i|^2`
+    Its solution is not unique; ``solve`` returns the one of least :math:`\sum_i |\xi_i|^2 + |\nu_i|^2`
     (proof of Lemma 1(b)). The parameters are those of :class:`V1`.
 
     Examples
@@ -124,7 +125,7 @@ class V3:
 
     .. math:: V_3 = \min \sum_{i=0}^{N-1} \xi_i^\top Q \xi_i + \nu_i^\top R \nu_i \quad\text{s.t. } \xi_N = r
 
-    The parameters are those of :class:`V1`, and r, shape (..., n), the terminal state asked for.
+    The parameters are those of :class:`V1`, and r, shape (..., n), the required terminal state.
 
     Examples
     --------

@@ -13,7 +13,7 @@ from rhl.errors import InputError
 
 Schedule = Callable[[int], float]
 
-# Beyond it 1/epsilon would leave the range of float64.
+# A smaller epsilon would make 1/epsilon leave the range of float64.
 _LEAST = 1e-300
 
 
@@ -49,7 +49,7 @@ class PowerDecay:
         """Return epsilon(k), at least 1e-300."""
         try:
             return max(float(1.0 / (1.0 + self.rate * k) ** self.power), _LEAST)
-        except OverflowError:  # the power of a number leaves the range
+        except OverflowError:  # the power leaves the range of float64
             return _LEAST
 
 
@@ -58,7 +58,7 @@ class ExponentialDecay:
     r"""The schedule :math:`\epsilon(k) = \rho^k` with ``factor`` :math:`\rho` in (0, 1).
 
     It stops falling at 1e-300, where 1/epsilon would leave the range of float64. Theorem 1 asks of a schedule only
-    that it is positive and tends to zero; a fast one leaves the terminal weight no time, see the book.
+    that it is positive and tends to zero; with a fast one the terminal weight grows too soon, see the book.
     """
 
     factor: float
@@ -75,9 +75,9 @@ class ExponentialDecay:
 
 @dataclass(frozen=True)
 class Constant:
-    """The schedule that never falls, ``value`` > 0: ordinary receding horizon control with a fixed terminal weight.
+    """The constant schedule ``value`` > 0: ordinary receding horizon control with a fixed terminal weight.
 
-    Theorem 1 asks that epsilon(k) tends to zero; this one does not, and a controller made with it says so.
+    Theorem 1 asks that epsilon(k) tends to zero; this one does not, and a controller with it warns.
     """
 
     value: float
@@ -92,10 +92,10 @@ class Constant:
 
 
 def epsilon_at(schedule: Schedule, k: int) -> float:
-    """Return a schedule's epsilon(k), the user's own too, and check it.
+    """Return epsilon(k) of a schedule, possibly the user's own, and check it.
 
-    InputError if it is not positive and finite at k, or is larger there than at k - 1. What a schedule of the user's
-    own raises is let through, with a note where it was called.
+    InputError if it is not positive and finite at k, or is larger there than at k - 1. Exceptions of the user's
+    own schedule pass through, with a note about the call.
     """
     k = integer("k", k, 0)
     now = _value(schedule, k)

@@ -1,4 +1,4 @@
-"""The scheme before the loop is closed: what is lifted, estimated, mixed and solved with which settings."""
+"""The settings of the scheme: lifting, estimator, mixing and controller."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ from rhl.schedules import PowerDecay, Schedule, epsilon_at
 from rhl.tracking import SetPoint
 from rhl.units import RunningUnits
 
-# Widths of its bounds that an input may be outside of them; beyond, rounding would take the bounds for one.
+# How far an input may be outside its bounds, in their widths; beyond, rounding would merge the bounds.
 _FAR = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    r"""What V1 is set up with at every step, Assumption 3 and Theorem 1.
+    r"""The settings of V1 at every step, Assumption 3 and Theorem 1.
 
     Parameters
     ----------
     Q, QN : float or array_like, shape (n', n')
-        Stage and terminal weight on the augmented state; a number is that times the identity.
+        Stage and terminal weight on the augmented state; a number stands for that multiple of the identity.
     R : float or array_like, shape (q, q)
         Input weight.
     horizon : int
-        N, at least 1. The theory asks for N at least n'.
+        N, at least 1. The theory requires N at least n'.
     epsilon : callable
-        k -> epsilon(k), positive and never rising: a schedule of ``rhl.schedules`` or a function of the user's own.
+        k -> epsilon(k), positive and never increasing: a schedule of ``rhl.schedules`` or your own function.
         AssumptionWarning if it is known not to tend to zero (Theorem 1).
     alpha : float
         :math:`\Gamma(x) = \alpha x^\top x`, positive (Theorem 1).
     model_delay : {0, 1}
-        0: use the estimate of this step, theta~(k). 1: use that of the step before, theta~(k-1), as the published data
-        do.
+        0: use the estimate of this step, theta~(k). 1: use that of the previous step, theta~(k-1), as the published
+        data do.
     bounds : Saturation, optional
-        What the actuator can do, which plans then keep, as the paper's outlook asks for (Section VII); outside its
-        theory. Give the same object to ``simulate`` as its actuator. Where omitted, plans know no bounds.
+        The actuator's limits, which plans then respect, as the paper's outlook suggests (Section VII); outside its
+        theory. Give the same object to ``simulate`` as its actuator. By default plans have no bounds.
     adaptive : bool
-        False: epsilon falls with every step. True: it is taken at a stage j(k) that moves on only where the value
-        function did not fall, :math:`V_1(k) \ge V_1(k-1)` with the weight kept; a suggestion of the paper's outlook
+        False: epsilon decreases at every step. True: it is evaluated at a stage j(k) that increases only if the value
+        function did not decrease, :math:`V_1(k) \ge V_1(k-1)` with the weight kept; a suggestion of the paper's outlook
         (Section VII), outside its theory.
     """
 
@@ -100,8 +100,8 @@ class Controller:
     ) -> V1:
         """Set up V1 for the augmented model and state with epsilon(k), equation (3); see :meth:`weight`.
 
-        ``sizes``, where weights count in them, is what ``RunningUnits.weights`` returns; ``before``, where inputs of
-        the plan are increments, is v(k-1), shape (..., q).
+        ``sizes`` is the result of ``RunningUnits.weights``, with running units; ``before`` is v(k-1), shape (..., q),
+        if the inputs of the plan are increments.
         """
         bounds = self._bounds(model.q, before)
         if sizes is None:
@@ -119,24 +119,24 @@ class Controller:
         low, high = (np.broadcast_to(edge, q) for edge in (self.bounds.low, self.bounds.high))
         if before is None:
             return InputBounds(low, high)
-        # An input far outside of its bounds, which an actuator reported, would leave no room between them in float64.
+        # An actuator may report an input so far outside its bounds that these would coincide in float64.
         near = np.clip(before, low - _FAR * (high - low), high + _FAR * (high - low))
         return InputBounds(low - near, high - near, summed=True)
 
     def weight(self, x: Array, k: int | np.ndarray) -> Array:
         """Return the terminal weight Gamma(x)/eps(k), shape (...), equation (3), for the augmented state x (..., n).
 
-        ``k`` is the step or, where the weight is adaptive, the stage: an integer, or an array of them, shape (...).
+        ``k`` is the step or, for an adaptive weight, the stage: an integer, or an array of them, shape (...).
         """
         stages, where = np.unique(k, return_inverse=True)
         epsilon = np.array([epsilon_at(self.epsilon, int(at)) for at in stages])[where].reshape(np.shape(k))
-        # Added up from first to last, as the compiled loop does, so that the two agree to the last bit.
+        # Summed from first to last, like the compiled loop, so that the two agree exactly.
         return np.asarray(self.alpha * sum(x[..., i] ** 2 for i in range(x.shape[-1])) / epsilon)
 
 
 @dataclass(frozen=True, eq=False)
 class Scheme:
-    """Receding horizon learning: everything that is chosen before the loop is closed.
+    """Receding horizon learning: all settings of the closed loop.
 
     InputError if sizes do not fit each other, the initial model contradicts the estimator's constraints or lies outside
     its generator's domain, or the mixing is a search and the initial model is not controllable.
@@ -144,7 +144,7 @@ class Scheme:
     Parameters
     ----------
     lifting : DelayLifting
-        How x and u are made of y and v.
+        The lifting of y and v to x and u.
     estimator : ProximalEstimator or GrowingMemory
         Equation (15).
     controller : Controller
@@ -152,15 +152,16 @@ class Scheme:
     initial_model : SignalModel
         theta~(0), lifted; controllable (Theorem 2(iii)).
     mixing : Mixing
-        How lambda_k is chosen: ConstantMixing, LambdaSearch, or an object of your own with a function ``choose``.
+        How lambda_k is chosen: ConstantMixing, LambdaSearch, or your own object with a function ``choose``.
     units : RunningUnits, optional
-        Weights and initial model count signals in sizes that the run shows; where omitted, as they are.
+        Weights and initial model are relative to signal sizes measured in the run; by default they are in the signals'
+        units.
     set_point : SetPoint, optional
-        Where the outputs are to go; the scheme then lifts distances from it and increments of the input. Where omitted,
+        The target of the outputs; the scheme then lifts distances from it and increments of the input. By default
         outputs and inputs go to zero, as in the paper.
     family : ModelFamily, optional
-        Initial models of whose estimates one that is controllable is used (Theorem 4 of the book). The estimator must
-        be a ``GrowingMemory``, whose centre is then the initial model at every k; it must move outputs along.
+        Initial models; a controllable one of their estimates is used (Theorem 4 of the book). The estimator must be a
+        ``GrowingMemory``, whose centre is then the initial model at every k; this model must shift outputs.
     """
 
     lifting: DelayLifting
@@ -181,7 +182,7 @@ class Scheme:
         ):
             instance(name, getattr(self, name), *kinds)
         self._check_units()
-        # An array has a function of that name, which does something else.
+        # An array has a function of that name with another meaning.
         if not callable(getattr(self.mixing, "choose", None)) or isinstance(self.mixing, type | np.ndarray):
             wanted = "a ConstantMixing, a LambdaSearch, or an object with a function choose"
             raise InputError(f"mixing must be {wanted}, got {describe(self.mixing)}")
@@ -242,7 +243,7 @@ class Scheme:
             for of, M in ((self.initial_model.A, shift.A), (self.initial_model.B, shift.B))
         ):
             raise InputError(
-                "the initial model of a family must move stacked outputs along, as SignalModel.shift_of_ones does, got "
+                "the initial model of a family must shift stacked outputs, as SignalModel.shift_of_ones does, got "
                 "another one"
             )
 
@@ -274,7 +275,7 @@ class Scheme:
 
     @property
     def depth(self) -> int:
-        """How many past outputs and inputs a step looks at."""
+        """The number of past outputs and inputs that a step uses."""
         increments = 0 if self.set_point is None else 1
         return self.estimator.window + 1 + increments + max(self.lifting.outputs, self.lifting.inputs)
 
@@ -304,7 +305,7 @@ def _check_bounds(bounds: Saturation, q: int) -> None:
 
 
 def _share_of_range(bounds: Saturation) -> Array:
-    """Return a hundredth of the range of each input, or 0.1 where that is no number to begin with."""
+    """Return a hundredth of the range of each input, or 0.1 if that is not a positive finite number."""
     with np.errstate(over="ignore"):
         found = 0.01 * (np.asarray(bounds.high) - bounds.low)
     return np.where(np.isfinite(found) & (found > 0), found, 0.1)
@@ -316,8 +317,8 @@ def window_scheme(p: int, q: int, order: int) -> Scheme:
     ``order`` is an upper bound on the order of the plant's observable part. The scheme has :math:`N_y = N_v` = order
     (Lemma 6), a window of twice that, squares for loss and generator, no mixing, unit weights, a horizon of twice the
     augmented state's size and at least 30, :math:`\epsilon(k) = 1/(1+10k)`, and the paper's initial model. Weights
-    carry units: where inputs are of another size than outputs, replace R first. The generator's weight, 0.01, stands
-    beside squares of the outputs, which it takes to be of size one.
+    have units: if inputs and outputs differ in size, replace R first. The generator's weight, 0.01, is added to squares
+    of the outputs and assumes that these are of size one.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
@@ -340,38 +341,39 @@ def default_scheme(
     bounds: Saturation | None = None,
     set_point: SetPoint | None = None,
 ) -> Scheme:
-    r"""Return a scheme to begin with, for plants of which nothing is known, not even the size of their signals.
+    r"""Return a default scheme for unknown plants, whose signals may have any size.
 
     ``p`` and ``q`` are the numbers of outputs and inputs, and ``order`` is an upper bound on the plant's observability
-    index: that many of each are stacked (Lemma 6). ``inputs`` is a size of the inputs to begin with, and ``noise`` the
-    standard deviation of each output's error, see :class:`~rhl.units.RunningUnits`. What differs from
-    :func:`window_scheme`, and why, measured on the eighteen benchmark plants up to order ten that an input can bring to
+    index: that many of each are stacked (Lemma 6). ``inputs`` is the size of the first inputs, and ``noise`` the
+    standard deviation of each output's error, see :class:`~rhl.units.RunningUnits`. The differences from
+    :func:`window_scheme` follow, measured on the eighteen benchmark plants up to order ten that an input can bring to
     rest, and on random plants with one to three inputs and outputs:
 
     - every measured transition is kept (:class:`~rhl.memory.GrowingMemory`, weight 1e-10): a window of 2m transitions
-      has fewer equations than a plant with several outputs has parameters, and forgets what a quiet plant no longer
-      shows. With the window seven of the eighteen come to rest, and all of them with this. The weight lies well below
-      the squares of signals that count as one: on 474 plants of the kinds above, 1e-8 gives outputs 5 % larger;
-    - weights count signals in sizes that the run shows (:class:`~rhl.units.RunningUnits`), since a weight that suits
-      0.05 rad does not suit a column at 300 K. Without, it is fifteen of the eighteen, and one of them runs away;
-    - an input counts in a hundredth of its size while the data leave open what it does (``caution``). An estimate made
-      of few data often says that an input does next to nothing, and asks for one that is far too large. With the
-      flexible shaft of ``rhl.plants.examples`` the largest angle is 1.6 times the first one, and 104 times without;
-    - R = 0.03, and 0.03 for past inputs in the augmented state: the paper's unit weights make an input cost as much as
-      the output that it moves, once for each past input that is stacked. With ones, seventeen of the eighteen come to
-      rest, and the median cost is 21 times that of the regulator that knows the plant; with these numbers it is 8.5;
-    - eps(k) = 1/(1+k)^2: with 1/(1+k) a plan over a finite horizon lets a slow unstable mode grow to a level that falls
-      with the square root of k only, and outputs of the 474 plants are 5 % larger. It grows too soon where data take
-      long to determine the estimate: ``bdt1``, of order eleven, reaches 74 times its first outputs, with (1 + k/24)^-3
-      1.1 times, for 24 entries of x and u;
-    - the initial model only moves outputs along, and input j moves output i by 1/(1 + |i - j|) of its size: the first
-      inputs, below the size given, are what the estimate learns from. No two inputs do the same, since inputs that the
-      model cannot tell apart stay equal until rounding parts them.
+      has fewer equations than a plant with several outputs has parameters, and drops the informative data once the
+      plant is near rest. Seven of the eighteen come to rest with the window, and all of them with this memory. The
+      weight is far below the squares of scaled signals: on 474 plants of the kinds above, 1e-8 gives outputs 5 %
+      larger;
+    - weights scale signals by sizes measured in the run (:class:`~rhl.units.RunningUnits`), since a weight that suits
+      0.05 rad does not suit a column at 300 K. Without them, fifteen of the eighteen come to rest, and one diverges;
+    - an input is scaled by a hundredth of its size while the data do not determine its effect (``caution``). The effect
+      that is estimated from few data is often very small, which makes the input far too large. For the flexible shaft
+      of ``rhl.plants.examples`` the largest angle is 1.6 times the first one, and 104 times without caution;
+    - R = 0.03, and 0.03 for past inputs in the augmented state: with the paper's unit weights an input costs as much as
+      the output that it moves, and again as each stacked past input. With unit weights, seventeen of the eighteen come
+      to rest, and the median cost is 21 times that of the regulator that knows the plant; with these it is 8.5;
+    - eps(k) = 1/(1+k)^2: with 1/(1+k) a plan over a finite horizon leaves a slow unstable mode at a level that falls
+      with the square root of k only, and outputs of the 474 plants are 5 % larger. The terminal weight grows too soon
+      if data determine the estimate slowly: ``bdt1``, of order eleven, reaches 74 times its first outputs, with (1 +
+      k/24)^-3 1.1 times, for 24 entries of x and u;
+    - the initial model only shifts outputs, and input j moves output i by 1/(1 + |i - j|) of its size. The estimate
+      learns from the first inputs, which are below the given size. Inputs differ in their effects, since inputs with
+      the same effect in the model would stay equal until rounding separates them.
 
-    Where noise is expected, small inputs teach nothing and outputs cannot be brought below the noise: there is no
-    caution, R = 1, past inputs count 0.3, and the memory's weight is the square of the noise over the output's size. On
-    two sets of 204 and 186 plants with errors of 1 % of the first outputs, the geometric mean of the costs is 0.57 and
-    0.98 times that of the scheme that is not told, with errors of 5 % it is 0.45 and 0.90 times.
+    With noise, small inputs are not informative and outputs cannot get below the noise. There is then no caution,
+    R = 1, past inputs have the weight 0.3, and the memory's weight is the square of the noise over the output's size.
+    On two sets of 204 and 186 plants with errors of 1 % of the first outputs, the geometric mean of the costs is 0.57
+    and 0.98 times that of the scheme without ``noise``; with errors of 5 % it is 0.45 and 0.90 times.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
@@ -389,7 +391,7 @@ def scheme_for(
     bounds: Saturation | None = None,
     set_point: SetPoint | None = None,
 ) -> Scheme:
-    """Return what :func:`default_scheme` does, for a lifting of one's own; basis functions have no running units."""
+    """Return the scheme of :func:`default_scheme` for a given lifting; basis functions exclude running units."""
     n, stacked = lifting.size(p), lifting.outputs * p
     A, B = np.eye(n, k=-p), np.zeros((n, q * lifting.inputs))
     A[stacked:] = 0.0
@@ -403,8 +405,8 @@ def scheme_for(
     units, R = RunningUnits(inputs, noise=noise), 0.03
     if np.any(np.asarray(units.noise) > 0):
         R, units = 1.0, replace(units, caution=0.0, past=0.3)
-    # Increments that are undone later cost little, so that a short plan lets inputs grow by themselves where the plant
-    # has a zero outside the unit circle: the quadruple tank's swing with 20 steps, less with 60, and not with 100.
+    # Increments that are reversed later cost little, so a short plan makes inputs grow if the plant has a zero outside
+    # the unit circle: those of the quadruple tank oscillate with 20 steps, less with 60, and not with 100.
     least = 30 if set_point is None else 100
     horizon = max(least, 2 * (n + (lifting.inputs - 1) * q))
     return Scheme(

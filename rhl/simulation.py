@@ -1,4 +1,4 @@
-"""Whole runs: one loop or a batch of them, compiled where the scheme allows it."""
+"""Whole runs of one loop or a batch, compiled if the scheme allows it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rhl.trace import Models, Trace
 
 Record = Literal["signals", "models"]
 
-# Steps that the compiled loop takes before it looks up: for progress, and for Ctrl-C.
+# Steps that the compiled loop takes between checks for progress and Ctrl-C.
 _PART = 256
 
 
@@ -42,9 +42,9 @@ def simulate(
     load: Disturbances | None = None,
     applied_known: bool = True,
 ) -> Trace:
-    """Run the scheme on a plant and record what happened, k = 0 ... steps-1.
+    """Run the scheme on a plant and record the run, k = 0 ... steps-1.
 
-    Members of a batch that leave the range of float64 stay as they were then, and ``diverged_at`` names them.
+    Members of a batch that leave the range of float64 keep their last values; ``diverged_at`` holds their steps.
 
     Parameters
     ----------
@@ -57,18 +57,18 @@ def simulate(
     steps : int
         At least 1.
     record : {"signals", "models"}, optional
-        "signals": y, v and z; what else a trace can tell it works out when asked for. "models": the estimates too, so
-        that this is quicker, at 16 n (n + q) bytes a step and member. Where omitted, models of one loop, signals of a
-        batch.
+        "signals": y, v and z; the trace computes everything else on access. "models": also the estimates, which makes
+        this access faster, at 16 n (n + q) bytes a step and member. By default "models" for one loop and "signals" for
+        a batch.
     progress : callable, optional
-        Called now and then with the trace so far.
+        Called from time to time with the trace so far.
     sensor, actuator, load, applied_known
-        What errs between scheme and plant, as in ``closed_loop``.
+        Disturbances between scheme and plant, as in ``closed_loop``.
 
     Raises
     ------
     DivergedError
-        If a run that is no batch leaves the range of float64; its ``trace`` is that of the steps before.
+        If a single run leaves the range of float64; its ``trace`` holds the steps before.
     InputError
         If z0 or the plant do not fit, or steps is below 1.
 
@@ -108,7 +108,7 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """What a run records, row by row; members of the batch lie along the second axis."""
+    """The record of a run, row by row; members of the batch lie along the second axis."""
 
     scheme: Scheme
     lead: tuple[int, ...]
@@ -160,7 +160,7 @@ class _Rows:
         return len(self.model) > 0
 
     def freeze(self, first: int, stop: int) -> None:
-        """Let the rows of members that have diverged stay as they were before."""
+        """Repeat the last rows of members that have diverged."""
         for member in np.flatnonzero((self.diverged_at >= 0) & (self.diverged_at < stop)):
             k = max(first, self.diverged_at[member])
             for rows in (self.y, self.v, self.z, self.computed):
@@ -168,7 +168,7 @@ class _Rows:
                     rows[k:stop, member] = rows[k - 1, member] if k else 0.0
 
     def checked(self, found: ArrayLike, k: int, instead: Array) -> Array:
-        """Return a signal with something else where it is not finite; those members have diverged."""
+        """Return a signal with ``instead`` for members that are not finite, which have diverged."""
         signal = np.asarray(found, dtype=np.float64)
         fine = np.all(np.isfinite(signal), axis=-1) & (self.diverged_at < 0).reshape(self.lead)
         self.diverged_at[(~fine).reshape(-1) & (self.diverged_at < 0)] = k
@@ -212,7 +212,7 @@ def _compiled(scheme: Scheme, plant: LinearPlant, z: Array, rows: _Rows) -> Iter
 
 
 def _diverged(scheme: Scheme, plant: Plant, rows: _Rows) -> Iterator[int]:
-    """Yield the rows before a run alone left the range of float64; then take that step again, to say in words how."""
+    """Yield the rows before a single run left the range of float64, then repeat that step to raise its error."""
     k = int(rows.diverged_at[0])
     if k:
         yield k
@@ -223,7 +223,7 @@ def _diverged(scheme: Scheme, plant: Plant, rows: _Rows) -> Iterator[int]:
 
 
 def _taken_again(scheme: Scheme, rows: _Rows, k: int, y: Array) -> None:
-    """Take the step at which a run alone left the range of float64 once more, which names the number that did."""
+    """Repeat the step at which a single run left the range of float64; it raises the error that names the number."""
     step(scheme, advance(scheme, rows.trace(k).steps[-1]) if k else start(scheme), y)
     raise DivergedError(k, "the input is no longer finite")
 
@@ -262,7 +262,7 @@ def _stepwise(
 
 
 class _Compiled:
-    """The scheme's steps by the compiled loop, on a plant of the caller's."""
+    """The scheme's steps in the compiled loop, for the caller's own plant."""
 
     def __init__(self, scheme: Scheme, rows: _Rows) -> None:
         self.scheme, self.rows = scheme, rows

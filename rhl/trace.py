@@ -1,4 +1,4 @@
-"""A run, recorded: the signals, and whatever follows from them, worked out when it is asked for."""
+"""A recorded run: its signals, and quantities that are computed from them on access."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rhl.tracking import seen
 
 @dataclass(frozen=True, eq=False)
 class Models:
-    """What was estimated along a run: theta = [A B] with n rows, before and after mixing.
+    """The estimates of a run: theta = [A B] with n rows, before and after mixing.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Models:
 
     @classmethod
     def of_steps(cls, steps: Iterable[Step]) -> Models:
-        """Collect them from steps."""
+        """Collect the estimates of steps."""
         steps = tuple(steps)
         both = [[np.concatenate([of.A, of.B], axis=-1) for of in (done.estimate, done.model)] for done in steps]
         stage = np.stack([done.stage for done in steps]) if steps[0].scheme.controller.adaptive else None
@@ -58,19 +58,19 @@ class Trace:
     Attributes
     ----------
     scheme : Scheme
-        What ran.
+        The scheme of the run.
     y, v : array, shapes (steps, ..., p) and (steps, ..., q)
         Outputs y(k) as measured, inputs v(k) as applied.
     plant_state : array, shape (steps, ..., n), or None
-        The plant's states z(k), where there was a plant.
+        The plant's states z(k), if there was a plant.
     computed : array, shape (steps, ..., q), or None
-        Inputs as the scheme computed them, where they are not those applied: ``v_computed``.
+        The computed inputs ``v_computed``, if they differ from the applied ones.
     applied_known : bool
-        Whether the scheme remembered the inputs applied, or those computed.
+        Whether the scheme recorded the applied inputs, or the computed ones.
     models : Models or None
-        What was estimated, where it was recorded; elsewhere the scheme replays the signals when it is asked for.
+        The estimates, if recorded; otherwise the scheme replays the signals on access.
     diverged : array of int, shape (...), or None
-        ``diverged_at``, where it is not -1 throughout.
+        ``diverged_at``, unless it is -1 for all members.
 
     Examples
     --------
@@ -140,12 +140,12 @@ class Trace:
 
     @property
     def v_computed(self) -> Array:
-        """Inputs as the scheme computed them, shape (steps, ..., q)."""
+        """The computed inputs, shape (steps, ..., q)."""
         return self.v if self.computed is None else self.computed
 
     @property
     def error(self) -> Array:
-        """How far the outputs are from the set point, y(k) - r(k), shape (steps, ..., p); y(k) where there is none."""
+        """The distance of outputs from the set point, y(k) - r(k), shape (steps, ..., p); y(k) without set point."""
         if self.set_point is None:
             return self.y
         return self.y - self.set_point.reshape(len(self), *[1] * (self.y.ndim - 2), -1)
@@ -154,7 +154,7 @@ class Trace:
     def diverged_at(self) -> np.ndarray:
         """The k at which a member of a batch left the range of float64, -1 where it did not, shape (...).
 
-        From there on its rows stay as they were at k - 1.
+        From there on its rows repeat the one at k - 1.
         """
         return np.full(self.y.shape[1:-1], -1) if self.diverged is None else self.diverged
 
@@ -195,12 +195,12 @@ class Trace:
 
     @cached_property
     def set_point(self) -> Array | None:
-        """Where the outputs were to go, r(k), shape (steps, p); None where the scheme has no set point."""
+        """The set points r(k), shape (steps, p); None if the scheme has none."""
         found, p = self.scheme.set_point, self.scheme.p
         return None if found is None else np.stack([found.at(k, p) for k in range(len(self))])
 
     def _held(self, r: Array) -> Array:
-        """Return r(k), shape (steps, p), as it is taken from x(k): not from outputs before k = 0, which count as r."""
+        """Return r(k) as subtracted in x(k), with zeros for outputs before k = 0, which count as r."""
         outputs = self.scheme.lifting.outputs
         measured = np.arange(len(r))[:, None] >= np.arange(outputs)
         held = np.where(np.repeat(measured, r.shape[1], axis=1), np.tile(r, outputs), 0.0)
@@ -268,7 +268,7 @@ class Trace:
         return tuple(found)
 
     def _before(self, k: int) -> Array:
-        """Return x(k-1) as the transition to x(k) counts it: from the set point of k."""
+        """Return x(k-1) as used in the transition to x(k), relative to the set point of k."""
         x = self.lifted[0][k - 1]
         if self.set_point is None:
             return x
@@ -282,7 +282,7 @@ class Trace:
 
     @cached_property
     def newton_decrement(self) -> Array:
-        """Certificates of the estimates theta*(k): how far they are from the minimiser of (15), shape (steps, ...)."""
+        """Certificates of the estimates theta*(k): distances from the minimiser of (15), shape (steps, ...)."""
         estimator, lifting = self.scheme.estimator, self.scheme.lifting
         if isinstance(estimator, GrowingMemory):
             return np.stack([self._decrement(estimator, k) for k in range(len(self))])
@@ -308,7 +308,7 @@ class Trace:
         return estimator.newton_decrement(found, centre, after, before, inputs, self._counted(k))
 
     def _counted(self, k: int) -> Array | None:
-        """Return the sizes of [x; u] at k, in which the estimator's weights count."""
+        """Return the sizes of [x; u] at k, by which the estimator's weights scale them."""
         scheme, sizes = self.scheme, self._size
         return (
             None
@@ -323,7 +323,7 @@ class Trace:
 
     @cached_property
     def margin_augmented(self) -> Array:
-        """The same for Remark 4's augmented pair, which is the one the controller uses, shape (steps, ...)."""
+        """The same for Remark 4's augmented pair, which the controller uses, shape (steps, ...)."""
         augment = self.scheme.lifting.augment
         return np.stack([controllability_margin(augment(self.model(k))) for k in range(len(self))])
 
@@ -331,9 +331,9 @@ class Trace:
     def s_plus(self) -> Array:
         """The smallest nonzero singular value of [B_{n'-1}(k) ... B_0(k)] of the planned maps, shape (steps, ...).
 
-        Theorem 1* of the book asks that it stay above a positive number; see :func:`rhl.controllability.s_plus`. Of the
-        horizon the first n' steps count, n' being the size of the augmented state: later ones make the number no
-        smaller, and where the model grows they hide it in rounding.
+        Theorem 1* of the book requires a positive lower bound of it; see :func:`rhl.controllability.s_plus`. Only the
+        first n' steps of the horizon count, with n' the size of the augmented state: later ones do not decrease the
+        number, and in an unstable model rounding would hide it.
         """
         augment, controller = self.scheme.lifting.augment, self.scheme.controller
         used = (self._centre(k) if controller.model_delay else self.model(k) for k in range(len(self)))
@@ -354,7 +354,7 @@ class Trace:
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
-        """Every step, in order; their plans are worked out when asked for."""
+        """Every step, in order; plans are computed on access."""
         return tuple(self._step(k) for k in range(len(self)))
 
     def _step(self, k: int, with_value: bool = True) -> Step:
@@ -384,7 +384,7 @@ class Trace:
         )
 
     def plan(self, k: int) -> Plan:
-        """Return what was planned at step k: inputs, predicted signals, certificate."""
+        """Return the plan of step k: inputs, predicted signals, certificate."""
         if integer("k", k, 0) >= len(self):
             raise InputError(f"k must be below the number of steps, {len(self)}, got {k}")
         return self.steps[k].plan if "steps" in self.__dict__ else self._step(k).plan

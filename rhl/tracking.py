@@ -14,26 +14,26 @@ from rhl.errors import InputError, NotFiniteError
 
 @dataclass(frozen=True, eq=False)
 class SetPoint:
-    r"""Where the outputs are to go, whatever constant disturbance acts on the plant.
+    r"""The target of the outputs, reached despite constant disturbances on the plant.
 
     The scheme then sees :math:`e(k) = y(k) - r` for an output and the increment :math:`\delta(k) = v(k) - v(k-1)` for
-    an input. Of a linear plant with constant disturbances, :math:`z^+ = F z + G v + d_1,\; y = H z + d_2`, these are
-    output and input of a linear plant without any,
+    an input. For a linear plant with constant disturbances, :math:`z^+ = F z + G v + d_1,\; y = H z + d_2`, these are
+    output and input of a linear plant without disturbances,
 
     .. math::
         \begin{bmatrix} \tilde z \\ \tilde v \end{bmatrix}^+ =
         \begin{bmatrix} F & G \\ 0 & I \end{bmatrix} \begin{bmatrix} \tilde z \\ \tilde v \end{bmatrix}
         + \begin{bmatrix} G \\ I \end{bmatrix} \delta, \qquad e = H \tilde z,
 
-    where tildes are distances from an equilibrium (z, v) with y = r, if there is one. It is what the paper's remark on
-    exosystems (Section V) comes to for signals that are constant. The plant so seen is one input longer: its
+    where tildes are distances from an equilibrium (z, v) with y = r, if there is one. This is the paper's remark on
+    exosystems (Section V) for constant signals. The extended plant has the input as a further state, and its
     observability index is at most one above that of the plant.
 
     Parameters
     ----------
     value : float or array_like, shape (p,), or callable
-        r, in the units of the outputs; or a function k -> r. A change of r is seen by the scheme at once: all stacked
-        outputs count from the set point of step k.
+        r, in the units of the outputs; or a function k -> r. A change of r takes effect at once: all stacked outputs
+        are relative to the set point of step k.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class SetPoint:
         given: object = self._called(k) if callable(self.value) else self.value
         try:
             found = real_array(f"the set point at k = {k}", given)  # type: ignore[arg-type]
-        except NotFiniteError as error:  # of the caller's making, unlike a run that diverges
+        except NotFiniteError as error:  # an error of the caller, unlike a run that diverges
             raise InputError(str(error)) from None
         if found.shape not in ((), (p,)):
             raise InputError(
@@ -75,10 +75,10 @@ class SetPoint:
 
 
 def seen(set_point: SetPoint | None, k: int, y_history: Array, v_history: Array) -> tuple[Array, Array]:
-    """Return what the scheme takes for outputs and inputs: the signals, or distances from r and increments.
+    """Return the outputs and inputs that the scheme uses: the signals, or distances from r and increments.
 
-    The histories are newest first, from y(k) and v(k-1) on; of v one row more is needed than increments are returned.
-    Outputs from before k = 0 count as at the set point, as zeros do without one.
+    The histories are newest first, from y(k) and v(k-1) on; v needs one row more than the returned increments. Outputs
+    from before k = 0 count as equal to the set point, and as zero without one.
     """
     if set_point is None:
         return y_history, v_history

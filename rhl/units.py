@@ -1,4 +1,4 @@
-"""Sizes in which weights count signals, so that a scheme needs no unit."""
+"""Sizes by which weights scale signals, so that a scheme does not depend on units."""
 
 from __future__ import annotations
 
@@ -11,46 +11,47 @@ from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 
-# An input is not taken to do less than this share of what was expected of its first size. One that does nothing would
-# else grow without end, as its estimated effect goes to zero; one that does 1e-7 is still cheap enough to be used.
+# The smallest assumed effect of an input, as a share of the effect expected at its first size. Without this limit an
+# input without effect would grow without bound as its estimated effect goes to zero; an effect of 1e-7 is still used.
 _LEAST_GAIN = 1e-6
 
-# The error of an output, relative to its size, that the weight of ``GrowingMemory`` stands for where there is no noise.
+# The relative output error that the weight of ``GrowingMemory`` corresponds to without noise.
 _EXACT = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class RunningUnits:
-    r"""Weights count outputs and inputs in sizes that the run itself shows.
+    r"""Weights scale outputs and inputs by sizes measured in the run.
 
-    The size of an output is the largest that was measured of it so far, :math:`s_i(k) = \max_{j \le k} |y_i(j)|`. The
-    size of an input is what moves some output by its size, by the model in use,
+    The size of an output is its largest absolute value so far, :math:`s_i(k) = \max_{j \le k} |y_i(j)|`. The
+    size of an input is the value that moves some output by its size, in the model in use,
     :math:`1 / \max_i \sum_l |B_{i}(l)| / s_i` over the rows that predict y(k+1) and the N_v inputs that u stacks. Q, R,
-    QN and Gamma of the controller and the estimator's weights count signals in these sizes, and so does the initial
-    model. The same plant in other units then gives the same run.
+    QN and Gamma of the controller, the estimator's weights and the initial model refer to signals divided by these
+    sizes. The same plant in other units then gives the same run.
 
-    R counts an input in a smaller size while the data leave open what it does: with g one over the size above and s the
-    share of ``GrowingMemory.unknown``, in :math:`1/\sqrt{g^2 + s\,(\mathrm{caution}/\mathrm{inputs})^2}`. An estimate
-    made of few data often says that an input does next to nothing; without this the input would be large then.
+    R uses a smaller size of an input while the data do not determine its effect:
+    :math:`1/\sqrt{g^2 + s\,(\mathrm{caution}/\mathrm{inputs})^2}`, with g one over the size above and s the share of
+    ``GrowingMemory.unknown``. An estimate from few data often has a very small effect of an input; without caution the
+    input would then be large.
 
-    The sizes settle where the outputs are bounded and the estimates converge; Theorem 1 is stated for weights that do
-    not change, so this is outside of it.
+    The sizes converge if the outputs are bounded and the estimates converge. Theorem 1 is stated for constant weights,
+    so it does not cover these.
 
     Parameters
     ----------
     inputs : float or array_like, shape (q,)
-        A size of each input to begin with, positive: one that does no harm, as a tenth of the actuator's range or less.
-        The first inputs are of that size at most, before anything is known of what they do; the smaller, the lower the
-        peak, as long as the sensors see what they do.
+        The first size of each input, positive: a harmless one, such as a tenth of the actuator's range or less. The
+        first inputs, whose effect is not known yet, are at most of that size. Smaller ones lower the peak, as long as
+        the sensors measure their effect.
     caution : float
-        How many times smaller than ``inputs`` an input counts of which nothing is known; 0 for no caution.
+        The factor by which the size of an input of unknown effect is smaller than ``inputs``; 0 for no caution.
     past : float
-        What past inputs weigh in the augmented state, where outputs of their size weigh one; positive.
+        The weight of past inputs in the augmented state, relative to outputs of their size; positive.
     noise : float or array_like, shape (p,)
-        Standard deviation of the error of each output, in its unit. The weight of ``GrowingMemory`` is taken to be the
-        square of an error of 1e-5 relative to the output's size; it grows to the square of the largest such error.
+        Standard deviation of the error of each output, in its unit. The weight of ``GrowingMemory`` corresponds to a
+        relative error of 1e-5, squared; it grows to the square of the largest relative error of an output.
     model_in_sizes : bool
-        Whether the scheme's initial model counts signals in sizes; False: it is given in the units of the signals.
+        Whether the scheme's initial model refers to scaled signals; False: it is given in the units of the signals.
     """
 
     inputs: Array | float = 0.1
@@ -78,7 +79,7 @@ class RunningUnits:
     def initial(self, model: SignalModel, lifting: DelayLifting, size: Array, q: int) -> SignalModel:
         """Return theta~(0), given in sizes, in the units of the signals; size, shape (..., p), is that of y(0).
 
-        Of an output that is zero nothing is said.
+        The rows of an output that is zero are zero.
         """
         if not self.model_in_sizes:
             return model
@@ -87,13 +88,13 @@ class RunningUnits:
         return SignalModel(A, x[..., :, None] * model.B / u)
 
     def parameters(self, lifting: DelayLifting, size: Array, q: int) -> Array:
-        """Return the sizes of [x; u], shape (..., n + N_v q), which the weight of the estimator counts in.
+        """Return the sizes of [x; u], shape (..., n + N_v q), by which the weight of the estimator scales them.
 
-        They are multiplied by what noise adds to the weight.
+        They include the factor that noise adds to the weight.
         """
         x, u = np.tile(_seen(size), lifting.outputs), np.tile(self._inputs(q), lifting.inputs)
         found = np.concatenate([x, np.broadcast_to(u, (*x.shape[:-1], len(u)))], axis=-1)
-        # An output that has been zero so far has no size that an error could be relative to.
+        # An output that has been zero so far has no size to relate an error to.
         error = np.max(np.where(size > 0, self.noise / _seen(size), 0.0), axis=-1, keepdims=True)
         return np.asarray(found * np.hypot(1.0, error / _EXACT))
 
@@ -103,7 +104,7 @@ class RunningUnits:
         """Return one over the sizes of the augmented state, shape (..., n'), and of v, shape (..., q).
 
         ``model`` is the lifted one in use, ``unknown`` what ``GrowingMemory.unknown`` returns, shape (..., n + N_v q);
-        where it is left out, nothing is. Past inputs count as if nothing was unknown: they can no longer be chosen.
+        if it is left out, everything is known. Past inputs are scaled as known, since they can no longer be chosen.
         """
         p = size.shape[-1]
         effect = np.abs(model.B[..., :p, :]).reshape(*model.B.shape[:-2], p, lifting.inputs, q).sum(axis=-2)
@@ -122,5 +123,5 @@ class RunningUnits:
 
 
 def _seen(size: Array) -> Array:
-    # What was zero throughout has no size yet; any will do, since its predictions are zero as well.
+    # A signal that was always zero has no size yet; any size works, since its predictions are zero too.
     return np.where(size > 0, size, 1.0)

@@ -140,7 +140,7 @@ API = [
     ("a list too long for the arm", lambda: RobotArm().step([1.0], [1.0]), r"^z must have shape \(..., 3\)", None),
     ("arm's variant", lambda: RobotArm("new"), r"^variant must be one of data, printed, got 'new'", None),
     ("arm's h", lambda: RobotArm("data", -1.0), r"^h must be a positive finite number, got -1.0", None),
-    ("no system", lambda: LinearPlant.from_control(3), r"^system must be a control.StateSpace .*got int", "a plant of"),
+    ("no system", lambda: LinearPlant.from_control(3), r"^system must be a control.StateSpace .*got int", "use"),
     ("continuous time", from_tf([1.0], [1.0, 1.0], 0), r"^system must be in discrete time .*got dt=0", "give the"),
     ("not strictly proper", from_tf([1.0, 1.0], [1.0, 1.0]), r"^system must be strictly proper .*degree 1", "delay it"),
     ("zero system", from_tf([0.0], [1.0, 1.0]), r"^system must respond to an input, got", "check its"),
@@ -307,13 +307,13 @@ API = [
         "constraints that contradict each other",
         lambda: LinearConstraints([[1.0], [1.0]], [0.0, 1.0]),
         r"^the equalities must not .*got row",
-        "take",
+        "remove",
     ),
     (
         "constraints of 0 = 1",
         lambda: LinearConstraints([[0.0]], [1.0]),
         r"^the equalities must not contradict each other, got",
-        "take",
+        "remove",
     ),
     (
         "M without b",
@@ -447,7 +447,7 @@ API = [
         lambda: scheme(
             initial_model=DEAD, estimator=ProximalEstimator(2, constraints=LinearConstraints([[0.0, 1.0]], [1.0]))
         ),
-        r"^the initial model must satisfy what is known .*got a violation of 1",
+        r"^the initial model must satisfy the equalities .*got a violation of 1",
         "start",
     ),
     ("order 0", lambda: window_scheme(1, 1, 0), r"^order must be an integer of at least 1, got 0", None),
@@ -550,7 +550,12 @@ KINDS = {
 # Functions of a plant of the user's own, what is wrong with them, and what the message says.
 FUNCTIONS = [
     ("shape", {"f": lambda z, v: [1.0]}, r"^transition\(z, v\) must return .*\(2,\), got shape \(1,\)", "return"),
-    ("ragged", {"f": lambda z, v: [[1.0], [1.0, 2.0]]}, r"^transition.* must return .*no rectangular array", "return"),
+    (
+        "ragged",
+        {"f": lambda z, v: [[1.0], [1.0, 2.0]]},
+        r"^transition.* must return .*not a rectangular array",
+        "return",
+    ),
     ("NaN", {"f": lambda z, v: z * np.nan}, r"^transition\(z, v\) must be finite at z = 0.*got array\(\[nan", "shift"),
     ("complex", {"f": lambda z, v: z * 1j}, r"^transition\(z, v\) must return .*real numbers, got", "return"),
     ("None", {"f": lambda z, v: None}, r"^transition\(z, v\) must return .*got None", "return"),

@@ -276,7 +276,7 @@ def test_a_saturated_replay_is_the_run():
 @pytest.mark.parametrize(
     ("disturbances", "sentence"),
     [
-        ({"sensor": lambda k, y: y[:0]}, r"the sensor must return the shape that it is given, \(1,\), got \(0,\)"),
+        ({"sensor": lambda k, y: y[:0]}, r"the sensor must return the shape of its argument, \(1,\), got \(0,\)"),
         ({"actuator": lambda k, v: v * np.nan if k == 2 else v}, "what the actuator returns at k = 2 must be finite"),
         ({"sensor": 3}, r"the sensor must be a function of \(k, signal\), got 3"),
     ],
@@ -433,7 +433,7 @@ def test_a_batch_of_plants_may_start_from_one_state():
             lambda: next(replay(scheme(), np.ones((3, 2)), np.ones((3, 1)))),
             r"y must have shape \(at least 1, 1\), got \(3, 2\)",
         ),
-        (lambda: next(replay(scheme(), np.ones((3, 1)), np.ones((2, 1)))), "as many rows as each other, got 3 and 2"),
+        (lambda: next(replay(scheme(), np.ones((3, 1)), np.ones((2, 1)))), "the same number of rows, got 3 and 2"),
         (lambda: step(scheme(), start(scheme()), [1.0, 2.0]), r"y must have shape \(1,\), got \(2,\)"),
         (lambda: advance(scheme(), run(scheme(), steps=1)[0], [1.0, 2.0]), r"v must have shape \(1,\), got \(2,\)"),
         (lambda: scheme(Q=np.eye(2)), r"Q must be a number or a matrix of shape \(3, 3\), got shape \(2, 2\)"),

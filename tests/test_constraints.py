@@ -36,7 +36,7 @@ def test_entries_by_hand():
     assert np.array_equal(known.M, np.eye(6)[[0, 3, 5]])
     assert np.array_equal(known.b, [0.5, 2.0, 3.0])
     known.check("this", SignalModel([[0.5, 9.0], [8.0, 2.0]], [[7.0], [3.0]]))
-    with pytest.raises(InputError, match="this must satisfy what is known"):
+    with pytest.raises(InputError, match="this must satisfy the equalities"):
         known.check("this", SignalModel([[0.5, 9.0], [8.0, 2.0]], [[3.0], [7.0]]))
 
 
@@ -247,7 +247,7 @@ def test_one_window_for_a_batch_of_centres(known):
         ),
         (
             lambda: LinearConstraints([[0.0, 0.0]], [1.0]),
-            "must not contradict each other, got row 0, .* off by 1; take one",
+            "must not contradict each other, got row 0, .* by 1, given the others; remove one",
         ),
         (
             lambda: LinearConstraints([[0.0, 0.0], [1.0, 0.0]], [1e-300, 1.0]),
@@ -277,7 +277,7 @@ def test_one_window_for_a_batch_of_centres(known):
         ),
         (
             lambda: LinearConstraints(np.eye(6), np.ones(6)).check("the plan", SignalModel([[1.0]], [[1.0]])),
-            "the constraints must be about the 2 parameters of the plan, got 6 columns",
+            "the constraints must have columns for the 2 parameters of the plan, got 6 columns",
         ),
     ],
 )

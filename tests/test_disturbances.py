@@ -105,8 +105,8 @@ def fails(k, y):
     [
         (3.0, r"the sensor must be a function of \(k, signal\), got 3.0"),
         ((Saturation(-1.0, 1.0), 3.0), r"the sensor must be a function of \(k, signal\), got 3.0"),
-        (lambda k, y: y[:1], r"the sensor must return the shape that it is given, \(2,\), got \(1,\)"),
-        (lambda k, y: 1.0, r"the sensor must return the shape that it is given, \(2,\), got \(\)"),
+        (lambda k, y: y[:1], r"the sensor must return the shape of its argument, \(2,\), got \(1,\)"),
+        (lambda k, y: 1.0, r"the sensor must return the shape of its argument, \(2,\), got \(\)"),
         (lambda k, y: y * np.nan, "what the sensor returns at k = 5 must be finite, got nan"),
         (lambda k, y: [np.inf, 0.0], "what the sensor returns at k = 5 must be finite, got inf"),
         (lambda k, y: None, "what the sensor returns at k = 5 must hold real numbers, got None"),

@@ -65,7 +65,7 @@ def test_an_engine_of_another_version_is_not_there(tmp_path):
 
 NPMS = {
     "npm, which fetches it, is not installed": None,
-    "npm could not bring pyodide": "echo 'npm error network' >&2; exit 1",
+    "npm could not download pyodide": "echo 'npm error network' >&2; exit 1",
     "the package must have the SHA-512": "echo another > package.tgz",  # npm is called in the folder itself
 }
 
@@ -84,7 +84,7 @@ def test_without_a_package_the_build_goes_on_but_not_in_continuous_integration(
     monkeypatch.setenv("CI", ci)
     assert engine.main(tmp_path / "kept") == status
     said = capsys.readouterr().err
-    assert said.startswith(f"the page that runs rhl in the browser gets no engine in this build: {words}")
+    assert said.startswith(f"the page that runs rhl in the browser has no engine in this build: {words}")
     assert said.count("\n") == 1
     assert not (tmp_path / "kept").exists()
 

@@ -154,7 +154,7 @@ def test_grid_sizes(p, outputs, q, inputs, count):
         (lambda: replace(family_scheme(1, 1, 1), family=ModelFamily.grid(1, 2, 1, 2)), "the family's shifts must have"),
         (
             lambda: family_scheme(1, 1, 2, SignalModel.companion_of_ones(2, 2)),
-            "the initial model of a family must move stacked outputs along",
+            "the initial model of a family must shift stacked outputs",
         ),
     ],
 )

@@ -99,7 +99,9 @@ def test_bad_files(tmp_path):
         LiveController.restore(scheme, path)
     for content in (b"", b"PK", b"k = 1", np.arange(3).tobytes()):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"must be a saved state, got: no state that LiveController\.save wrote"):
+        with pytest.raises(
+            InputError, match=r"must be a saved state, got: a file that LiveController\.save did not write"
+        ):
             LiveController.restore(scheme, path)
     np.savez(path, k=np.array([{}], dtype=object))
     with pytest.raises(InputError, match="must be a saved state"):

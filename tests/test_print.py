@@ -102,10 +102,10 @@ def test_a_printed_book_asks_no_other_host(small):
     page.write_text(page.read_text().replace("<details>", '<img src="https://example.invalid/a.png"><details>'))
     done = run(small)
     assert done.returncode != 0
-    assert "must need its own files only, it asks for https://example.invalid/a.png" in done.stderr
+    assert "must need its own files only, got requests for https://example.invalid/a.png" in done.stderr
 
 
 def test_without_a_book_it_says_so(small):
     shutil.rmtree(small / "build")
     done = run(small)
-    assert (done.returncode, done.stderr.strip()) == (1, "there is no book yet: type 'make book' first")
+    assert (done.returncode, done.stderr.strip()) == (1, "there is no book yet; run 'make book' first")

@@ -72,7 +72,7 @@ def test_the_ledger_links_to_the_theorem():
 def test_false_theorems_change_what_stands_in_the_files():
     for false in proofs.FALSE:
         assert proofs.altered(false) != (proofs.PROOFS / false.file).read_text(encoding="utf-8")
-    with pytest.raises(ValueError, match="must hold once what is to be changed"):
+    with pytest.raises(ValueError, match="must contain exactly once the part to change"):
         proofs.altered(replace(proofs.FALSE[0], old="no such words"))
 
 

@@ -563,10 +563,10 @@ def unknown(**facts):
         ({"generator": Entropy()}, []),
         ({"loss": LogCosh()}, []),
         ({"loss": Varying(lambda k: unknown())}, []),
-        ({"loss": unknown()}, ["Assumption 6 asks for a loss that is .* least at zero: mine is not known to be"]),
+        ({"loss": unknown()}, ["Assumption 6 asks for a loss that is .* minimum at zero: mine is not known to be"]),
         (
             {"loss": unknown(assumption_6=False)},
-            ["Assumption 6 asks for a loss that is .* least at zero: mine is not$"],
+            ["Assumption 6 asks for a loss that is .* minimum at zero: mine is not$"],
         ),
         (
             {"generator": unknown()},
@@ -647,13 +647,13 @@ class Half:
         ),
         (
             lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(6)[:1], [7.0])).minimise(c, x, u),
-            r"the centre must satisfy what is known \(M theta = b\), got a violation of 5\.25",
+            r"the centre must satisfy the equalities \(M theta = b\), got a violation of 5\.25",
         ),
         (
             lambda c, x, u: ProximalEstimator(3, constraints=LinearConstraints(np.eye(5), np.ones(5))).minimise(
                 c, x, u
             ),
-            "the constraints must be about the 6 parameters of the centre, got 5 columns",
+            "the constraints must have columns for the 6 parameters of the centre, got 5 columns",
         ),
         (
             lambda c, x, u: ProximalEstimator(3, generator=Entropy()).minimise(c, x, u),

@@ -98,11 +98,11 @@ def test_frozen():
         ),
         (
             {"estimator": ProximalEstimator(4, constraints=LinearConstraints.entries(np.eye(2), np.full((2, 2), NAN)))},
-            r"the initial model must satisfy what is known \(M theta = b\), got a violation of 1; start from con",
+            r"the initial model must satisfy the equalities \(M theta = b\), got a violation of 1; start from con",
         ),
         (
             {"estimator": ProximalEstimator(4, constraints=LinearConstraints.entries([[NAN]], [[1.0]]))},
-            "the constraints must be about the 8 parameters of the initial model, got 2 columns",
+            "the constraints must have columns for the 8 parameters of the initial model, got 2 columns",
         ),
         (
             {"estimator": ProximalEstimator(4, generator=Entropy())},

@@ -1,4 +1,4 @@
-"""Run the campaigns whose results come with the library, or go on with them, and write what is kept of them."""
+"""Run or resume the campaigns whose results come with the library, and write their condensed results."""
 
 import argparse
 import json
@@ -15,9 +15,9 @@ KEPT = ROOT / "rhl" / "study" / "data" / "many_plants.json"
 
 
 def main() -> int:
-    """Run what is not yet there; a folder of other settings or another version is refused by the command itself."""
+    """Run the missing campaigns; the command itself refuses a folder of other settings or versions."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="where the stores go")
+    parser.add_argument("folder", type=Path, help="the folder for the stores")
     parser.add_argument("--workers", default="1")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -46,7 +46,7 @@ def main() -> int:
 
 
 def as_text(kept: dict) -> str:
-    """One row of a table on a line, so that a change can be read."""
+    """One row of a table per line, so that diffs are readable."""
     lines = []
     for name, found in kept.items():
         parts = []

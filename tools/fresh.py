@@ -1,9 +1,9 @@
-"""Run the book's builder so that it never shows what an older library or an older page made.
+"""Run the book's builder without stale results of an older library or page.
 
-The book keeps two memories: jupyter-cache (outputs of notebooks) and Sphinx's doctrees (pages). Neither sees a change
-in `rhl/`; pages do not see that a number glued from another page has changed; and doctrees kept from a build that
-failed hide its warnings from the next one. So outputs and pages are each kept only while what they depend on is
-unchanged, and pages only after a build that succeeded.
+The book has two caches: jupyter-cache (outputs of notebooks) and Sphinx's doctrees (pages). Neither notices a change in
+`rhl/`, pages do not notice a changed number that is glued from another page, and doctrees of a failed build hide its
+warnings from the next one. So outputs and pages are kept only while their dependencies are unchanged, and pages only
+after a successful build.
 
     python tools/fresh.py jupyter-book build ...
 """
@@ -29,7 +29,7 @@ def digest(root: Path, names: Iterable[str]) -> str:
         found = [root / name] if (root / name).is_file() else (root / name).rglob("*")
         files = {path.relative_to(root).as_posix(): path for path in found if path.is_file()}
         for where, path in sorted(files.items()):
-            # Caches that tools leave beside the files (.ruff_cache, .ipynb_checkpoints, __pycache__) decide nothing.
+            # Caches of tools next to the files (.ruff_cache, .ipynb_checkpoints, __pycache__) are irrelevant.
             if not any(part.startswith((".", "__pycache__")) for part in Path(where).parts):
                 content = path.read_bytes()
                 sha.update(f"{where}\0{len(content)}\0".encode() + content)
@@ -37,7 +37,7 @@ def digest(root: Path, names: Iterable[str]) -> str:
 
 
 def read_record(root: Path) -> dict[str, str]:
-    """What the last build noted about itself; empty if there is nothing legible."""
+    """The record of the last build; empty if it is not readable."""
     try:
         record = json.loads((root / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -46,13 +46,13 @@ def read_record(root: Path) -> dict[str, str]:
 
 
 def write_record(root: Path, record: dict[str, str]) -> None:
-    """Note what the outputs, and after a success the pages, were made from."""
+    """Record the dependencies of the outputs and, after a success, of the pages."""
     (root / RECORD).parent.mkdir(parents=True, exist_ok=True)
     (root / RECORD).write_text(json.dumps(record), encoding="utf-8")
 
 
 def drop_stale(root: Path) -> tuple[str, dict[str, str]]:
-    """Remove what must not be reused; returns what was kept, in words, and the record to write after a success."""
+    """Remove stale files; returns a description of the kept ones, and the record to write after a success."""
     now = {"outputs": digest(root, OUTPUTS_NEED), "pages": digest(root, PAGES_NEED)}
     last = read_record(root)
     if last.get("outputs") != now["outputs"]:
@@ -69,7 +69,7 @@ def drop_stale(root: Path) -> tuple[str, dict[str, str]]:
 
 
 def main(command: Sequence[str], root: Path) -> int:
-    """Drop what is stale, run `command` in `root` and remember whether it succeeded; returns its exit status."""
+    """Remove stale files, run `command` in `root` and record whether it succeeded; returns its exit status."""
     kept, record = drop_stale(root)
     print(f"kept from the last build: {kept}", flush=True)
     status = subprocess.run(command, cwd=root, check=False).returncode

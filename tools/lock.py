@@ -1,7 +1,7 @@
-"""Write environment.lock from pyproject.toml, headed by a fingerprint of what it was made from.
+"""Write environment.lock from pyproject.toml, headed by a fingerprint of its source.
 
-`make lock` calls this. tests/test_environment.py compares the fingerprint, so that a lock which was not made from
-the pyproject.toml beside it is noticed even where its versions still happen to fit.
+`make lock` calls this. tests/test_environment.py compares the fingerprint, so it detects a lock that was not made
+from the current pyproject.toml even if its versions still fit.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ HEADER = """\
 
 
 def fingerprint(pyproject: str) -> str:
-    """Sha256 of the parts of a pyproject.toml (given as text) that decide what is locked."""
+    """Sha256 of the parts of a pyproject.toml (given as a string) that determine the lock."""
     parsed = tomllib.loads(pyproject)
     project = parsed["project"]
     decides = {
@@ -32,7 +32,7 @@ def fingerprint(pyproject: str) -> str:
 
 
 def main(uv: str, root: Path) -> None:
-    """Resolve with the executable `uv`; versions already in the lock are kept wherever they still fit."""
+    """Resolve with the executable `uv`; versions in the lock are kept if they still fit."""
     pyproject, lock = root / "pyproject.toml", root / "environment.lock"
     resolve = "pip compile --quiet --universal --generate-hashes --all-extras --python-version 3.11"
     files = ["--no-header", "--output-file", lock.name, pyproject.name]

@@ -1,8 +1,8 @@
 """Print the built book as one PDF: a title page, contents with page numbers, every page in order, bookmarks.
 
 All pages are put into one document, so that links between them become links inside the PDF, and Chromium prints it
-twice: once to see on which sheet each heading lands, once with these numbers in the contents. Nothing is fetched from
-any host; the book's own files are handed to the browser as it asks for them.
+twice: once to find the sheet of each heading, once with these numbers in the contents. Nothing is fetched from other
+hosts; the browser gets the book's own files on request.
 
     python tools/print.py build/rhl.pdf
 """
@@ -23,7 +23,7 @@ from playwright.sync_api import Page, Route, sync_playwright
 from pypdf import PdfReader
 
 HOST = "http://book.invalid/"
-# What a reader on paper has no use for.
+# Elements without use on paper.
 CLUTTER = ".headerlink, .prev-next-footer, .take-away, .only-dark, .viewcode-link, script, button, .copybtn"
 COLUMN = 660  # pixels between the margins of A4 as set in print.css
 FOOTER = (
@@ -32,13 +32,13 @@ FOOTER = (
 
 
 def chromium() -> str | None:
-    """Where Chromium is; None where there is none."""
+    """The path of Chromium; None if there is none."""
     return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the contents: the anchor it leads to, its words as HTML, and 0 for a part, 1 for a page, 2 below."""
+    """A line of the contents: its target's anchor, its words as HTML, and 0 for a part, 1 for a page, 2 below."""
 
     anchor: str
     words: str
@@ -46,12 +46,12 @@ class Entry:
 
 
 def anchor(name: str, fragment: str = "") -> str:
-    """The one id in the printed document for a page and a place on it."""
+    """The id in the printed document of a page and an anchor on it."""
     return f"{name}--{fragment}".replace("/", "-").removesuffix("--")
 
 
 def article(name: str, page: str, printed: set[str]) -> Tag:
-    """The article of a built page, ready to stand in one document with the articles of all `printed` pages."""
+    """The article of a built page, prepared for one document with the articles of all `printed` pages."""
     soup = BeautifulSoup(page, "html.parser")
     found = soup.select_one("article.bd-article")
     if found is None:
@@ -97,7 +97,7 @@ def contents(toc: dict, articles: dict[str, Tag]) -> list[Entry]:
 
 
 def contents_page(entries: Iterable[Entry], sheets: dict[str, int]) -> str:
-    """The contents as HTML; a number that is not known yet takes as much room as one that is."""
+    """The contents as HTML; unknown numbers take as much space as known ones."""
     lines = [
         f'<li class="depth-{entry.depth}"><a href="#{entry.anchor}"><span>{entry.words}</span>'
         + ("" if entry.depth == 0 else f"<b>{sheets.get(entry.anchor, 000)}</b>")
@@ -117,7 +117,7 @@ def title_page(config: dict) -> str:
 
 
 def head_of(texts: Mapping[str, str]) -> Tag:
-    """The head for the whole document: that of the first page that loads MathJax, as pages without formulas do not."""
+    """The head of the document: that of the first page that loads MathJax, since pages without formulas do not."""
     heads = {name: BeautifulSoup(text, "html.parser").head for name, text in texts.items()}
     if missing := [name for name, head in heads.items() if head is None]:
         raise ValueError(f"{missing[0]}.html must have a head, found none")
@@ -133,7 +133,7 @@ def document(head: str, body: Iterable[str]) -> str:
 
 
 def hand_over(folder: Path, text: str, asked: Route, refused: list[str]) -> None:
-    """Answer what the browser asks for, the document or a file of the book; anything else is refused and noted."""
+    """Answer the browser's requests for the document or a file of the book; others are refused and recorded."""
     name = unquote(urlsplit(asked.request.url).path[1:])
     if name == "book/print.html":
         asked.fulfill(body=text, content_type="text/html; charset=utf-8")
@@ -156,13 +156,13 @@ FIT = """(column) => {
 
 
 def sheets_of(page: Page, folder: Path, text: str) -> bytes:
-    """Print the document; gives the PDF."""
+    """Print the document; returns the PDF."""
     page.unroute_all()
     refused: list[str] = []
     page.route("**/*", lambda route: hand_over(folder, text, route, refused))
     page.goto(HOST + "book/print.html", timeout=120_000)
     if refused:
-        raise ValueError(f"the printed book must need its own files only, it asks for {', '.join(refused)}")
+        raise ValueError(f"the printed book must need its own files only, got requests for {', '.join(refused)}")
     page.evaluate("() => window.MathJax?.startup?.promise.then(() => 1)")
     page.evaluate(FIT, COLUMN)
     return page.pdf(
@@ -177,7 +177,7 @@ def sheets_of(page: Page, folder: Path, text: str) -> bytes:
 
 
 def sheet_numbers(reader: PdfReader) -> dict[str, int]:
-    """On which sheet each place that is linked to stands."""
+    """The sheet of each link target."""
     return {
         unquote(name.lstrip("/")): number + 1
         for name, place in reader.named_destinations.items()
@@ -186,14 +186,14 @@ def sheet_numbers(reader: PdfReader) -> dict[str, int]:
 
 
 def main(target: Path, root: Path) -> None:
-    """Print the book that was built below `root` into `target`."""
+    """Print the book built below `root` into `target`."""
     folder = root / "build/_build/html"
     toc = yaml.safe_load((root / "_toc.yml").read_text(encoding="utf-8"))
     if not (folder / f"{toc['root']}.html").is_file():
-        sys.exit("there is no book yet: type 'make book' first")
+        sys.exit("there is no book yet; run 'make book' first")
     browser_at = chromium()
     if browser_at is None:
-        sys.exit("no Chromium to print with; `apt-get install chromium` brings one")
+        sys.exit("printing needs Chromium, got none; `apt-get install chromium` installs it")
     names = [toc["root"], *(chapter["file"] for part in toc["parts"] for chapter in part["chapters"])]
     texts = {name: (folder / f"{name}.html").read_text(encoding="utf-8") for name in names}
     articles = {name: article(name, text, set(names)) for name, text in texts.items()}
@@ -218,7 +218,7 @@ def main(target: Path, root: Path) -> None:
             sheets = sheet_numbers(reader)
         browser.close()
     if missing := [entry.anchor for entry in entries if entry.anchor not in sheets]:
-        raise ValueError(f"every line of the contents must lead to a sheet, these do not: {', '.join(missing)}")
+        raise ValueError(f"every line of the contents must have a sheet, got none for: {', '.join(missing)}")
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(pdf)
     print(f"{target}: {len(reader.pages)} pages, {target.stat().st_size / 1e6:.1f} MB")

@@ -1,8 +1,8 @@
-"""Have Coq check the theorems of `proofs/`, print what each rests on, and see false ones rejected.
+"""Check the theorems of `proofs/` with Coq, print their axioms, and check that false ones are rejected.
 
-`make proofs` calls this. It needs Coq with Mathematical Components and nothing else, no package of `.venv`. What came
-out is written to `rhl/paper/data/proofs.json`, for the book and the ledger, which are made without Coq; a hash of each
-file shows a record that is not of the file beside it.
+`make proofs` calls this. It needs only Coq with Mathematical Components, and no package of `.venv`. The results are
+written to `rhl/paper/data/proofs.json` for the book and the ledger, which do not need Coq; a hash of each file detects
+an outdated record.
 """
 
 import hashlib
@@ -20,18 +20,18 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PROOFS = ROOT / "proofs"
 RECORD = ROOT / "rhl/paper/data/proofs.json"
-CLOSED = "Closed under the global context"  # what Coq says of a theorem that rests on no axiom
+CLOSED = "Closed under the global context"  # Coq's words for a theorem without axioms
 MISSING = (
     "the proofs need Coq 8.16 with Mathematical Components 1.15, got no coqc; on Debian: "
     "apt-get install --no-install-recommends coq libcoq-mathcomp-algebra"
 )
-# Mathematical Components itself causes these two.
+# Mathematical Components itself causes these two warnings.
 QUIET = ("-q", "-w", "-notation-overridden,-ambiguous-paths")
 
 
 @dataclass(frozen=True)
 class FalseTheorem:
-    """A statement changed so that it is false: Coq must stop at the line `at` of a proof, and its error hold `says`."""
+    """A false variant of a statement: Coq must stop at the line `at` of a proof, with an error that contains `says`."""
 
     file: str
     what: str
@@ -86,7 +86,7 @@ FALSE = (
 
 
 def coqc() -> str:
-    """Where Coq's compiler is; FileNotFoundError, in one sentence, where there is none."""
+    """The path of Coq's compiler; FileNotFoundError, in one sentence, if there is none."""
     found = shutil.which("coqc")
     if found is None:
         raise FileNotFoundError(MISSING)
@@ -94,7 +94,7 @@ def coqc() -> str:
 
 
 def compile_text(text: str, name: str = "proof.v") -> subprocess.CompletedProcess[str]:
-    """Compile a source in a folder of its own, so that nothing is left beside it."""
+    """Compile a source in a temporary folder, so that no files are left next to it."""
     compiler = coqc()
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, name).write_text(text, encoding="utf-8")
@@ -107,7 +107,7 @@ def asked(text: str) -> list[str]:
 
 
 def axioms(said: str, theorems: Sequence[str]) -> dict[str, str]:
-    """What Coq says that each theorem rests on; ValueError if it says less or more than was asked."""
+    """The axioms of each theorem according to Coq; ValueError if the number of answers is wrong."""
     answers = [answer.strip() for answer in re.split(rf"^(?={CLOSED}|Axioms:)", said, flags=re.MULTILINE)]
     answers = [answer for answer in answers if answer]
     if len(answers) != len(theorems):
@@ -116,7 +116,7 @@ def axioms(said: str, theorems: Sequence[str]) -> dict[str, str]:
 
 
 def check(file: Path) -> dict[str, str]:
-    """Compile a file of proofs, and return what its theorems rest on; SystemExit where Coq rejects it."""
+    """Compile a file of proofs, and return the axioms of its theorems; SystemExit if Coq rejects it."""
     text = file.read_text(encoding="utf-8")
     done = compile_text(text, file.name)
     if done.returncode:
@@ -125,15 +125,15 @@ def check(file: Path) -> dict[str, str]:
 
 
 def altered(false: FalseTheorem) -> str:
-    """The source with its theorem changed; ValueError if what is to be changed is not there exactly once."""
+    """The source with its theorem changed; ValueError if the part to change does not occur exactly once."""
     text = (PROOFS / false.file).read_text(encoding="utf-8")
     if text.count(false.old) != 1:
-        raise ValueError(f"{false.file} must hold once what is to be changed for '{false.what}'")
+        raise ValueError(f"{false.file} must contain exactly once the part to change for '{false.what}'")
     return text.replace(false.old, false.new)
 
 
 def rejection(false: FalseTheorem) -> str:
-    """How Coq rejects a false theorem, as 'line N: error'; ValueError where it accepts it, or stops elsewhere."""
+    """Coq's rejection of a false theorem, as 'line N: error'; ValueError if it accepts it, or stops elsewhere."""
     text = altered(false)
     done = compile_text(text, false.file)
     if not done.returncode:
@@ -158,7 +158,7 @@ def hashes() -> dict[str, str]:
 
 
 def record() -> dict[str, Any]:
-    """Everything Coq says of the proofs and of the false theorems, in the form of the file that is kept."""
+    """Coq's results for the proofs and the false theorems, in the form of the record."""
     theorems = {}
     for file in sorted(PROOFS.glob("*.v")):
         for theorem, rests in check(file).items():
@@ -168,7 +168,7 @@ def record() -> dict[str, Any]:
 
 
 def main() -> int:
-    """Check everything, print it and keep it; returns the exit status."""
+    """Check everything, print and record it; returns the exit status."""
     try:
         found = record()
     except (FileNotFoundError, ValueError) as error:
@@ -181,7 +181,7 @@ def main() -> int:
     RECORD.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     resting = [theorem for theorem, rests in found["theorems"].items() if rests != CLOSED]
     if resting:
-        print(f"these rest on axioms: {', '.join(resting)}", file=sys.stderr)
+        print(f"these theorems use axioms: {', '.join(resting)}", file=sys.stderr)
     return 1 if resting else 0
 
 

@@ -1,11 +1,11 @@
-"""Let docstrings write |x| for an absolute value: reStructuredText would look for a substitution named x."""
+"""Allow |x| for an absolute value in docstrings; reStructuredText would look for a substitution named x."""
 
 import re
 from typing import Any
 
 from sphinx.application import Sphinx
 
-# Inline literals and roles are left as they are; any other bar is escaped.
+# Inline literals and roles are unchanged; any other bar is escaped.
 _PIECES = re.compile(r"``.*?``|:\w+:`[^`]*`|\|")
 
 
@@ -28,6 +28,6 @@ def _process(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: l
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Come after napoleon, which has priority 500."""
+    """Run after napoleon, which has priority 500."""
     app.connect("autodoc-process-docstring", _process, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,4 +1,4 @@
-"""Bring the pages with sliders what they load: data computed from `rhl` during the build, and their scripts."""
+"""Add data and scripts to the pages with sliders; the data are computed with `rhl` during the build."""
 
 import shutil
 from itertools import chain
@@ -10,7 +10,7 @@ from sphinx.application import Sphinx
 from rhl import plotting
 from rhl.paper import explored, sweeps, watch
 
-# Which page asks for which scripts of book/_static/explore; other pages load none of them.
+# The scripts of book/_static/explore by page; other pages load none of them.
 SCRIPTS = {
     "book/index": ("opening.js", "chart.js", "watch.js"),
     "book/explore": ("chart.js", "runs.js", "beside.js", "lemmas.js"),
@@ -25,15 +25,15 @@ def compute(folder: Path) -> None:
     shutil.rmtree(begun, ignore_errors=True)
     begun.mkdir(parents=True)
     for name, content in chain(sweeps.files(), watch.files(), explored.files()):
-        # Scripts and not bare JSON: a book opened from a folder may load scripts, but a browser lets it fetch nothing.
+        # Scripts instead of JSON: a book opened from a folder may load scripts, but not fetch files.
         (begun / f"{name}.js").write_text(f'rhlExplore.take("{name}",{content})\n', encoding="utf-8")
     begun.rename(folder)
 
 
 def place(app: Sphinx) -> None:
-    """Put data and colours where the pages look for them.
+    """Copy data and colours to the place from which the pages load them.
 
-    The data are kept beside the book; tools/fresh.py drops them, as it does outputs of notebooks, when `rhl/` changes.
+    The data are cached next to the book; tools/fresh.py removes them, like outputs of notebooks, when `rhl/` changes.
     """
     if app.builder.name != "html":
         return
@@ -46,7 +46,7 @@ def place(app: Sphinx) -> None:
 
 
 def add_scripts(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
-    """Name a page's scripts in its head."""
+    """Add a page's scripts to its head."""
     for script in SCRIPTS.get(page, ()):
         app.add_js_file(f"explore/{script}", loading_method="defer")
 

@@ -1,7 +1,6 @@
-"""Mend what the theme's templates leave amiss in every page, as text, after they are written.
+"""Fix defects of the theme's templates in the text of every written page.
 
-Each mending names what it takes away; one that finds nothing to mend on any page fails the build, so that none of them
-outlives its reason.
+Each fix has a name; a fix that applies to no page fails the build, so that obsolete ones are removed.
 """
 
 import re
@@ -13,17 +12,17 @@ from sphinx.errors import ExtensionError
 MENDINGS = {
     # The icons come as fonts and, once more, as 1.5 MB of script; the fonts are enough.
     "icons as a script": (re.compile(r'\s*<script src="[^"]*vendor/fontawesome/[^"]*\.js[^"]*"></script>'), ""),
-    # Brand icons are fetched ahead on every page, and the book shows none.
-    "fonts fetched ahead and not used": (
+    # Brand icons are preloaded on every page, and the book shows none.
+    "fonts preloaded and not used": (
         re.compile(r'\s*<link rel="preload"[^>]*fa-(?:brands|regular)-400\.woff2" ?/>'),
         "",
     ),
-    # The index of modules folds its packages by a picture that is called "-".
+    # The index of modules folds its packages with a picture with the text "-".
     "a picture without words": (
         re.compile(r'(<img [^>]*class="toggler"[^>]*alt=)"-"'),
         r'\1"Fold or unfold this package."',
     ),
-    # The search page has a field of its own beside the one that the search button opens, under the same id.
+    # The search page has a second field with the id of the search button's field.
     "one id for two search fields": (
         re.compile(r'(<form class="bd-search[^>]*>(?:(?!</form>).)*id=")search-input(".*id="search-input")', re.DOTALL),
         r"\1search-input-hidden\2",
@@ -32,7 +31,7 @@ MENDINGS = {
 
 
 def mend(text: str) -> tuple[str, set[str]]:
-    """The page mended, and the names of what was found on it."""
+    """The fixed page, and the names of the fixes that applied."""
     found = set()
     for name, (pattern, replacement) in MENDINGS.items():
         text, count = pattern.subn(replacement, text)
@@ -42,7 +41,7 @@ def mend(text: str) -> tuple[str, set[str]]:
 
 
 def mend_pages(app: Sphinx, exception: Exception | None) -> None:
-    """Mend every page of the book."""
+    """Fix every page of the book."""
     if exception or app.builder.name != "html":
         return
     found = set()
@@ -53,7 +52,9 @@ def mend_pages(app: Sphinx, exception: Exception | None) -> None:
         if after != before:
             path.write_text(after, encoding="utf-8")
     if missing := sorted(MENDINGS.keys() - found):
-        raise ExtensionError(f"nothing to mend any more, drop it from lean_pages: {', '.join(missing)}")
+        raise ExtensionError(
+            f"every fix must apply to a page, got none for these; remove them from lean_pages: {', '.join(missing)}"
+        )
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

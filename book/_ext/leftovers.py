@@ -1,4 +1,4 @@
-"""Fail the build where a role of the sources reached the reader as it stands, such as {glue:text}`name`."""
+"""Fail the build if a page shows a role of the sources unprocessed, such as {glue:text}`name`."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ ROLE = re.compile(r"\{[a-z:]+\}`[^`\n]{1,60}`|glue:[a-z]+")
 
 
 def leftover_roles(page: str) -> list[str]:
-    """The roles in a page that reached the reader: outside of code, inside of formulas too."""
+    """The unprocessed roles in a page, outside of code and including formulas."""
     if not ROLE.search(page):
         return []
     article = BeautifulSoup(page, "html.parser").find("article")
@@ -23,13 +23,13 @@ def leftover_roles(page: str) -> list[str]:
 
 
 def refuse(app: Sphinx, exception: Exception | None) -> None:
-    """Look at every page that was built."""
+    """Check every page of the book."""
     if exception or app.builder.name != "html":
         return
     pages = {docname: Path(app.outdir, f"{docname}.html").read_text(encoding="utf-8") for docname in app.env.found_docs}
     found = [f"{docname} shows {role}" for docname in sorted(pages) for role in leftover_roles(pages[docname])]
     if found:
-        raise ExtensionError(f"roles must not reach the reader, but {'; '.join(found)}")
+        raise ExtensionError(f"roles must be processed, but {'; '.join(found)}")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

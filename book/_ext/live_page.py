@@ -1,4 +1,4 @@
-"""Bring the page on which readers run the scheme what it runs: rhl's own files, an interpreter, plants."""
+"""Add rhl's own files, an interpreter and plants to the page on which readers run the scheme."""
 
 import io
 import json
@@ -12,14 +12,14 @@ from sphinx.application import Sphinx
 from rhl.paper import playground
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-# The library without what draws, studies, checks the paper or is a command line, none of which runs in the page.
+# The library without plotting, studies, claims and command line, which the page does not use.
 PARTS = ("rhl/*.py", "rhl/kernels/*.py", "rhl/losses/*.py", "rhl/plants/*.py")
 PAGE = "book/live"
 SCRIPTS = ("explore/chart.js", "live/build.js", "live/page.js")
 
 
 def library(root: Path) -> bytes:
-    """An archive from which Python imports: the library's files as they are, the driver, and what stands for numpy."""
+    """An archive from which Python imports: the library's files, the driver, and the stand-in for numpy."""
     live = root / "book/_static/live"
     files = {path.relative_to(root).as_posix(): path for part in PARTS for path in root.glob(part)}
     files |= {f"numpy/{path.name}": path for path in (live / "stand_in").glob("*.py")}
@@ -33,7 +33,7 @@ def library(root: Path) -> bytes:
 
 
 def description(engine: Path, more: int) -> dict[str, Any]:
-    """What the page is told: the engine's version, "" without one, all bytes that a run loads, and the plants."""
+    """The data for the page: the engine's version, "" without one, the bytes that a run loads, and the plants."""
     note = engine / "version"
     version = note.read_text(encoding="utf-8") if note.is_file() else ""
     loaded = sum(path.stat().st_size for path in engine.glob("*") if path != note) + more if version else 0
@@ -42,7 +42,7 @@ def description(engine: Path, more: int) -> dict[str, Any]:
 
 
 def place(app: Sphinx) -> None:
-    """Put library, engine and plants where the page looks for them."""
+    """Copy library, engine and plants to the place from which the page loads them."""
     if app.builder.name != "html":
         return
     live, engine = Path(app.outdir, "_static", "live"), ROOT / "build" / "pyodide"
@@ -54,12 +54,12 @@ def place(app: Sphinx) -> None:
         shutil.copytree(engine, live / "engine")
     worker = ROOT / "book/_static/live/worker.js"
     told = json.dumps(description(engine, worker.stat().st_size + len(packed)))
-    # A script and not bare JSON: a book opened from a folder may load scripts, but a browser lets it fetch nothing.
+    # A script instead of JSON: a book opened from a folder may load scripts, but not fetch files.
     (live / "build.js").write_text(f"window.rhlLive = {told};\n", encoding="utf-8")
 
 
 def add_scripts(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
-    """Name the page's scripts in its head; other pages load none of them."""
+    """Add the page's scripts to its head; other pages load none of them."""
     for script in SCRIPTS if page == PAGE else ():
         app.add_js_file(script, loading_method="defer")
 

@@ -1,6 +1,6 @@
-"""Serve MathJax from the book itself: one file out of the pinned wheel, no request to any other host.
+"""Serve MathJax from the book itself: one file of the pinned wheel, without requests to other hosts.
 
-Where no script runs, a page shows each formula as MathML; the EPUB holds nothing else.
+Without scripts, a page shows each formula as MathML; the EPUB contains only MathML.
 """
 
 import html
@@ -18,11 +18,11 @@ from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 
-# All of TeX input and the SVG output with its glyphs in one file, so that nothing is loaded after it.
+# TeX input and SVG output with glyphs in one file, so that nothing else is loaded.
 SCRIPT = "mathjax/tex-svg-full.js"
-# Without scripts the TeX would stand there as it is.
+# Without scripts the raw TeX would be shown.
 WITHOUT_SCRIPTS = "<noscript><style>.math .tex { display: none; }</style></noscript>"
-# Environments of several lines, which the converter knows only as arrays; columns alternate as in amsmath.
+# Environments of several lines; the converter supports only arrays, with alternating columns as in amsmath.
 _LINES = r"split|aligned|align\*?|gathered|gather\*?"
 _WRAPPED = re.compile(r"\\(begin|end)\{equation\*?\}")
 _TAG = re.compile(r"\\tag\{([^{}]*)\}")
@@ -32,7 +32,7 @@ _DELIMITED = re.compile(r"\\\((.*?)\\\)|\\\[(.*)\\\]|(\\begin\{.*\\end\{[a-z]+\*
 
 
 def place_script(app: Sphinx) -> None:
-    """Copy the script to where the pages look for it."""
+    """Copy the script to the place from which pages load it."""
     source = distribution("sphinx-mathjax-offline").locate_file(f"sphinx-mathjax-offline/static/{SCRIPT}")
     target = Path(app.outdir, "_static", SCRIPT)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -40,7 +40,7 @@ def place_script(app: Sphinx) -> None:
 
 
 def spare_pages(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
-    """Take the script from pages without formulas: Sphinx gives it to the first page for the sake of those below it."""
+    """Remove the script from pages without formulas: Sphinx adds it to the first page because of later ones."""
     if app.builder.name == "epub":
         return
     if not app.env.get_domain("math").data["has_equations"].get(page):
@@ -51,11 +51,11 @@ def spare_pages(app: Sphinx, page: str, template: str, context: dict[str, Any], 
 
 
 def plain(tex: str, macros: Mapping[str, str]) -> tuple[str, str]:
-    """Return a formula in the TeX that the converter knows, and its number, empty where it has none."""
+    """Return a formula in TeX that the converter supports, and its number, empty if there is none."""
     known = "|".join(macros)
     tex = re.sub(rf"\\({known})(?![A-Za-z])", lambda found: macros[found[1]], tex)
     tex = _WRAPPED.sub("", tex)
-    # An operator's name is upright, and its limits stand below it.
+    # An operator's name is upright, with its limits below it.
     tex = re.sub(r"\\operatorname\*?\{arg\\,(min|max)\}|\\arg\s*\\(min|max)", r"\\mathrm{arg\\,\1\2}", tex)
     numbers = _TAG.findall(tex)
     tex = _TAG.sub("", tex)
@@ -72,7 +72,7 @@ def _converted(tex: str, block: bool) -> str:
 
 
 def mathml(tex: str, block: bool, macros: Mapping[str, str]) -> tuple[str, str]:
-    """Return a formula as MathML, and its number; ExtensionError if something of the TeX is left in it."""
+    """Return a formula as MathML, and its number; ExtensionError if it still contains TeX."""
     known, number = plain(tex, macros)
     made = _converted(known, block)
     try:
@@ -99,7 +99,7 @@ def beside(markup: str, macros: Mapping[str, str], instead: bool) -> str:
         plainly = f'<span class="eqno">({html.escape(number)})</span>{made}' if number else made
         if instead:
             return plainly
-        # Where the formula is wider than a phone, book.js shows its number beside it.
+        # If the formula is wider than a phone, book.js shows its number next to it.
         numbered = f' data-number="({html.escape(number)})"' if number else ""
         return f'<span class="tex"{numbered}>{found[0]}</span><noscript>{plainly}</noscript>'
 
@@ -107,12 +107,12 @@ def beside(markup: str, macros: Mapping[str, str], instead: bool) -> str:
 
 
 def with_mathml(visit: Callable[[Any, Any], None], translator: Any, node: nodes.Element) -> None:
-    """Write a formula as Sphinx's own visitor does, and its MathML to it."""
+    """Write a formula like Sphinx's own visitor, and add its MathML."""
     written = translator.body
     begin = len(written)
     try:
         visit(translator, node)
-    except nodes.SkipNode:  # so the visitor says that it has written the children too
+    except nodes.SkipNode:  # the visitor's signal that it wrote the children too
         macros = translator.config.mathjax3_config["tex"]["macros"]
         markup = beside("".join(written[begin:]), macros, instead=translator.builder.name == "epub")
         written[begin:] = [markup]
@@ -120,8 +120,8 @@ def with_mathml(visit: Callable[[Any, Any], None], translator: Any, node: nodes.
 
 
 def wrap_renderers(app: Sphinx) -> None:
-    """Have MathML written with every formula."""
-    # The registry takes no second renderer under the name for which Sphinx adds the script.
+    """Write MathML with every formula."""
+    # The registry accepts no second renderer with the name for which Sphinx adds the script.
     for renderers in (app.registry.html_inline_math_renderers, app.registry.html_block_math_renderers):
         visit, leave = renderers["mathjax"]
         renderers["mathjax"] = (partial(with_mathml, visit), leave)
@@ -132,6 +132,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.setup_extension("sphinx.ext.mathjax")
     app.config.mathjax_path = SCRIPT
     app.connect("builder-inited", place_script)
-    app.connect("builder-inited", wrap_renderers, priority=900)  # after MyST, which puts in a renderer of its own
-    app.connect("html-page-context", spare_pages, priority=900)  # after Sphinx's own, which has 500
+    app.connect("builder-inited", wrap_renderers, priority=900)  # after MyST, which sets its own renderer
+    app.connect("html-page-context", spare_pages, priority=900)  # after Sphinx's own handler, which has 500
     return {"parallel_read_safe": True, "parallel_write_safe": True}

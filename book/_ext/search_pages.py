@@ -1,6 +1,6 @@
-"""What the search page loads beside Sphinx's index: the prose of every page, for snippets and for a better order.
+"""Add the prose of every page to the search page, in addition to Sphinx's index, for snippets and ranking.
 
-Sphinx fetches each page it found to show a piece of it. That needs a server, and the piece may be code.
+Sphinx fetches each found page to show an excerpt. That needs a server, and the excerpt may be code.
 """
 
 import json
@@ -11,7 +11,7 @@ from bs4 import BeautifulSoup, Tag
 from sphinx.application import Sphinx
 
 TEXTS = "search-texts.js"
-# What a page holds beside its prose.
+# Elements of a page that are not prose.
 NOT_PROSE = "pre, script, style, table, svg, figure, button, summary, .headerlink, .take-away, .trail, .tex"
 
 
@@ -23,7 +23,7 @@ def prose(page: str) -> dict[str, str]:
     for tag in article.select(NOT_PROSE):
         tag.decompose()
     found = {}
-    # Innermost first, so that each section is left with its own words.
+    # Innermost first, so that each section keeps only its own words.
     for section in reversed(article.select("section[id]")):
         found[str(section["id"])] = words(section)
         section.decompose()
@@ -39,7 +39,7 @@ def words(tag: Tag) -> str:
 
 
 def write_texts(app: Sphinx, exception: Exception | None) -> None:
-    """Write the prose of all pages as a script: a book opened from a folder may load scripts, but fetch nothing."""
+    """Write the prose of all pages as a script: a book opened from a folder may load scripts, but not fetch files."""
     if exception or app.builder.name != "html":
         return
     texts = {
@@ -51,7 +51,7 @@ def write_texts(app: Sphinx, exception: Exception | None) -> None:
 
 
 def add_scripts(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
-    """Name the scripts in the head of the search page; they run before Sphinx's search begins."""
+    """Add the scripts to the head of the search page; they run before Sphinx's search."""
     if page == "search":
         app.add_js_file(TEXTS, loading_method="defer")
         app.add_js_file("search.js", loading_method="defer")

@@ -1,7 +1,7 @@
-"""Statements with the paper's own numbers, and the way between statement, proof, checks, code and tests.
+"""Statements with the paper's own numbers, and links between statement, proof, checks, code and tests.
 
-The blocks are written `{prf:lemma} Lemma 5 (a remark)`, as in sphinx-proof. That extension counts by itself, which
-gives other numbers than the paper's, and repeats its ids; here the title is the argument as it stands.
+The blocks are written `{prf:lemma} Lemma 5 (a remark)`, as in sphinx-proof. That extension numbers the blocks
+itself, which differs from the paper, and repeats ids; here the title is the unchanged argument.
 """
 
 import json
@@ -23,18 +23,18 @@ from rhl.paper.claims.claim import Claim
 from rhl.paper.claims.ledger import CLAIMS
 from rhl.paper.listing import section_id
 
-# Labels that begin so mark the statement of the paper that a page is about.
+# Labels with this prefix mark the paper's statement on a page.
 STATED = "stated-"
 PREVIEWS = "statements.json"
 
 
 def standard(env: BuildEnvironment) -> StandardDomain:
-    """The domain that keeps the labels of all pages."""
+    """The domain with the labels of all pages."""
     return cast(StandardDomain, env.get_domain("std"))
 
 
 class Statement(SphinxDirective):
-    """A statement under the title that is given as its argument."""
+    """A statement with its argument as title."""
 
     required_arguments = 1
     final_argument_whitespace = True
@@ -42,11 +42,11 @@ class Statement(SphinxDirective):
     option_spec: ClassVar[dict[str, Any]] = {
         "label": directives.unchanged_required,
         "class": directives.class_option,
-        "nonumber": directives.flag,  # known to sphinx-proof; here nothing is counted anyway
+        "nonumber": directives.flag,  # for compatibility with sphinx-proof; nothing is numbered here
     }
 
     def run(self) -> list[nodes.Node]:
-        """Make an admonition whose label can be linked to from every page."""
+        """Return an admonition whose label can be linked from every page."""
         block = nodes.admonition(classes=["statement", self.name.partition(":")[2], *self.options.get("class", [])])
         self.set_source_info(block)
         words, messages = self.state.inline_text(self.arguments[0], self.lineno)
@@ -60,7 +60,7 @@ class Statement(SphinxDirective):
 
 
 class StatementDomain(Domain):
-    """The kinds of statement that the book knows."""
+    """The kinds of statement in the book."""
 
     name = "prf"
     label = "Statements"
@@ -73,13 +73,13 @@ class StatementDomain(Domain):
 
 
 def module_of(claim: Claim) -> str:
-    """The module that checks a claim; empty where nothing does."""
+    """The module that checks a claim; empty if there is none."""
     check = claim.stated.func if isinstance(claim.stated, partial) else claim.stated
     return check.__module__ if check else ""
 
 
 def docname_of(claim: Claim) -> str:
-    """The page of a claim, as Sphinx names it."""
+    """Sphinx's name of a claim's page."""
     return claim.page.rpartition(".")[0]
 
 
@@ -100,10 +100,10 @@ def test_id(claim: Claim) -> str:
 def trail(
     app: Sphinx, docname: str, claims: list[Claim], name: str, proof: str = "", here: str = ""
 ) -> list[tuple[str, str]]:
-    """What belongs to these claims, as (words, address seen from `docname`), in the order of an argument.
+    """The links of these claims, as (words, address relative to `docname`), in the order of an argument.
 
-    `name` is what they are about, such as "theorem-2", `proof` the id of the proof's section on this page, `here` the
-    word for where one is already.
+    `name` is their subject, such as "theorem-2", `proof` the id of the proof's section on this page, `here` the word
+    for the current place.
     """
     main = leading(claims, name)
 
@@ -133,14 +133,14 @@ def paragraph(links: list[tuple[str, str]]) -> nodes.paragraph:
 
 
 def sections(doctree: nodes.document, start: str) -> Iterator[nodes.section]:
-    """The sections with an id that begins so."""
+    """The sections with an id with this prefix."""
     for section in doctree.findall(nodes.section):
         if any(id.startswith(start) for id in section["ids"]):
             yield section
 
 
 def add_trails(app: Sphinx, doctree: nodes.document, docname: str) -> None:
-    """Put a trail under the page's statement, under its proof's heading, and under each heading of the tests."""
+    """Add a trail below the page's statement, under its proof's heading, and under each heading of the tests."""
     if app.builder.name != "html":
         return
     if docname == "book/checks":
@@ -162,7 +162,7 @@ def add_trails(app: Sphinx, doctree: nodes.document, docname: str) -> None:
 
 
 def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
-    """Put a trail over the source of a module that checks claims."""
+    """Add a trail above the source of a module that checks claims."""
     module = pagename.removeprefix("_modules/").replace("/", ".")
     claims = [claim for claim in CLAIMS if module_of(claim) == module]
     if claims and pagename.startswith("_modules/"):
@@ -173,7 +173,7 @@ def add_trail_to_code(app: Sphinx, pagename: str, templatename: str, context: di
 
 
 def write_previews(app: Sphinx, exception: Exception | None) -> None:
-    """Collect the pages' statements in one file, from which links show them under the pointer."""
+    """Collect the pages' statements in one file, for the previews of links."""
     if exception or app.builder.name != "html":
         return
     previews = {}
@@ -183,7 +183,7 @@ def write_previews(app: Sphinx, exception: Exception | None) -> None:
             for tag in block.select(".trail, .headerlink"):
                 tag.decompose()
             for tag in [block, *block.select("[id]")]:
-                del tag["id"]  # it may be shown on the page where it stands
+                del tag["id"]  # a preview may appear on the statement's own page
             previews[f"{docname}.html"] = str(block)
     Path(app.outdir, "_static", PREVIEWS).write_text(json.dumps(previews), encoding="utf-8")
 

@@ -1,4 +1,4 @@
-"""At the foot of every page: its notebook, how to cite it and, where the book has a public address, its other homes."""
+"""The foot of every page: its notebook, its citation and, if the book has a public address, its other sites."""
 
 import html
 import shutil
@@ -11,9 +11,10 @@ from sphinx.application import Sphinx
 
 
 def addresses(repository: str, branch: str, notebook: str, page: str) -> dict[str, str]:
-    """Where else a page is: Binder, Colab and GitHub Pages, all from the address of the repository.
+    """The other addresses of a page, on Binder, Colab and GitHub Pages, from the address of the repository.
 
-    `notebook` is the notebook's path in the repository, empty where there is none; no repository, no addresses.
+    `notebook` is the notebook's path in the repository, empty if there is none; without a repository there are no
+    addresses.
     """
     if not repository:
         return {}
@@ -32,7 +33,7 @@ def addresses(repository: str, branch: str, notebook: str, page: str) -> dict[st
 
 
 def bibtex(citation: dict[str, Any], bibliography: str) -> str:
-    """The paper's entry as it stands in the bibliography, and one for the companion from CITATION.cff."""
+    """The paper's entry from the bibliography, and one for the companion from CITATION.cff."""
     authors = " and ".join(f"{{{author['name']}}}" for author in citation["authors"])
     companion = {
         "title": f"{{{citation['title']}}}",
@@ -45,7 +46,7 @@ def bibtex(citation: dict[str, Any], bibliography: str) -> str:
 
 
 def foot(source: str, kind: str, elsewhere: dict[str, str], repository: str, entries: str) -> str:
-    """The foot as HTML; `source` is the address of what the page was made from."""
+    """The foot as HTML; `source` is the address of the page's source."""
     links = [f'<a href="{html.escape(source)}" download>{kind}</a>']
     links += [f'<a href="{html.escape(address)}">{words}</a>' for words, address in elsewhere.items()]
     colab = (
@@ -61,7 +62,7 @@ def foot(source: str, kind: str, elsewhere: dict[str, str], repository: str, ent
 
 
 def place_notebook(app: Sphinx, pagename: str) -> str:
-    """Beside the sources, put the executed notebook of a page that is written as text; returns its name."""
+    """Add the executed notebook of a MyST page to the sources; returns its name."""
     executed = Path(app.outdir).parent / "jupyter_execute" / f"{pagename}.ipynb"
     target = Path(app.outdir, "_sources", f"{pagename}.ipynb")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -70,14 +71,14 @@ def place_notebook(app: Sphinx, pagename: str) -> str:
 
 
 def add_foot(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: Any) -> None:
-    """Give the page its foot, and the theme's download button its notebook."""
+    """Add the page's foot, and its notebook to the theme's download button."""
     if app.builder.name == "epub" or doctree is None or "body" not in context or not context.get("sourcename"):
         return
     source, notebook = context["sourcename"], ""
     if source.endswith(".ipynb"):
         notebook = source
     elif "kernelspec" in app.env.metadata[pagename]:
-        # The theme offers this one beside the text.
+        # The theme offers this notebook in addition to the text source.
         source = context["ipynb_source"] = place_notebook(app, pagename)
     kind = "notebook" if source.endswith(".ipynb") else "source"
     options = app.config.html_theme_options
@@ -93,6 +94,6 @@ def add_foot(app: Sphinx, pagename: str, templatename: str, context: dict[str, A
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Come before the theme, which has priority 500 and reads what is set here."""
+    """Run before the theme, which has priority 500 and reads the values set here."""
     app.connect("html-page-context", add_foot, priority=400)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -62,7 +62,7 @@ class TransferSection(Section):
     )
 
     def plant(self) -> tuple[Plant, ArrayLike]:
-        import control  # here, because it loads matplotlib
+        import control  # imported here, because it loads matplotlib
 
         num, den = self._channels()
         time: Any = True if self.sampling is None else 0

@@ -1,1 +1,1 @@
-"""Compiled inner loops over plain arrays, without policy and without errors; imported where something is computed."""
+"""Compiled inner loops over plain arrays, without checks and errors; imported only for computations."""

@@ -1,4 +1,4 @@
-"""Compile the loops now rather than at the first run: ``python -m rhl.kernels``, which ``make env`` calls."""
+"""Compile the loops before the first run: ``python -m rhl.kernels``, which ``make env`` calls."""
 
 import numpy as np
 

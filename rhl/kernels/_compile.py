@@ -1,4 +1,4 @@
-"""The compiler of the loops: numba where it is installed, none elsewhere."""
+"""The compiler of the loops: numba if it is installed, otherwise none."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ numba: Any
 try:
     import numba
     from numba.core import event
-except ImportError:  # the loops are plain Python, so they also run interpreted, a few hundred times slower
+except ImportError:  # the loops are plain Python and also run interpreted, a few hundred times slower
     numba = None
 else:
 
     class _Notice(event.Listener):
-        """Says once, on standard error, why a first call takes seconds."""
+        """Reports once, on standard error, that the loops are being compiled."""
 
         said = False
 
@@ -27,22 +27,22 @@ else:
                 print("rhl: compiling its loops, once for this installation: about 15 s", file=sys.stderr)
 
         def on_end(self, event: Any) -> None:
-            """Do nothing; a listener must have it."""
+            """Do nothing; listeners require this method."""
 
     event.register("numba:compile", _Notice())  # type: ignore[no-untyped-call]
 
 
 def compiled(function: F) -> F:
-    """Compile a function when it is first called, and keep the machine code on disk where a folder takes it."""
+    """Compile a function at its first call, and cache the machine code on disk if a folder is writable."""
     if numba is None:
         return function
     options = {"nogil": True, "error_model": "numpy"}
     try:
         return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the package's folder nor the user's cache can be written
+    except RuntimeError:  # neither the package's folder nor the user's cache is writable
         return numba.njit(**options)(function)
 
 
 def inlined(function: F) -> F:
-    """Compile a function into those that call it, where a constant argument is then a constant."""
+    """Inline a function into its callers, so that constant arguments are constants at compile time."""
     return function if numba is None else numba.njit(inline="always", error_model="numpy")(function)

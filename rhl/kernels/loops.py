@@ -1,11 +1,11 @@
 r"""The compiled loops: rotations, the recursion behind V1, V2 and V3, the estimator's window, the closed loop.
 
-Read from top to bottom. Arrays have their lanes last, ``(rows, columns, lanes)``: a lane is one member of a batch, and
-every innermost loop runs over the lanes, where a processor does several at once. Where there is one, inlined bodies
-see that constant, so that no loop is left. Nothing is checked here, and nothing raises.
+Arrays have their lanes last, ``(rows, columns, lanes)``. A lane is one member of a batch, and every innermost loop runs
+over lanes, which a processor can vectorise. With a single lane, inlined bodies see that constant, and the loop
+disappears. Functions check nothing and raise nothing.
 
-All of it stands in one file, because the compiler's cache is renewed when the file of a function changes, but not when
-that of a function which it calls does.
+Everything is in one file, because the compiler's cache is renewed when the file of a function changes, but not when the
+file of a called function does.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ def _rotate(triangle: Array, rows: Array, columns: int, cosine: Array, sine: Arr
 
 @compiled
 def rotate(triangle: Array, rows: Array, columns: int) -> None:
-    """Rotate rows into an upper triangle: M'M of M = [triangle; rows] stays, and rows end at zero in ``columns``.
+    """Rotate rows into an upper triangle: M'M of M = [triangle; rows] is unchanged, ``columns`` of rows become zero.
 
-    A rotation keeps a small row beside a large one to its own sixteen digits, whichever stands above; a reflection
-    does so only where rows are sorted by size.
+    Rotations keep the relative accuracy of a small row next to a large one in any order; reflections do so only if rows
+    are sorted by size.
     """
     lanes = triangle.shape[2]
     cosine, sine = np.empty(lanes), np.empty(lanes)
@@ -81,7 +81,7 @@ def multiply(S: Array, M: Array, product: Array) -> None:
 
 @compiled
 def back_substitute(triangle: Array, columns: int) -> None:
-    """Solve the triangle's first ``columns`` for what stands in its further columns, in place."""
+    """Solve with the triangle in the first ``columns`` for the remaining columns, in place."""
     lanes = triangle.shape[2]
     for i in range(columns - 1, -1, -1):
         for j in range(columns, triangle.shape[1]):
@@ -108,7 +108,7 @@ def put(
 
 @compiled
 def stage(S: Array, M: Array, Q: Array, R: Array, before: Array, K: Array, V: Array) -> None:
-    """Take one stage back: ``before`` is S', u = -K x the minimiser, |V (u + K x)|^2 what another u costs more.
+    """Step one stage back: ``before`` is S', u = -K x the minimiser, |V (u + K x)|^2 the extra cost of another u.
 
     S is upper triangular, (n', n', lanes); M = [B A] is (n', q + n, lanes); Q and R are upper factors, Q of the first
     entries of the state.
@@ -127,14 +127,14 @@ def stage(S: Array, M: Array, Q: Array, R: Array, before: Array, K: Array, V: Ar
 
 @compiled
 def recursion(S: Array, M: Array, Q: Array, R: Array, K: Array, V: Array) -> None:
-    """Take N stages back, with K, (N, q, n, lanes), and V, (N, q, q, lanes); S ends as that before the first."""
+    """Step N stages back, writing K, (N, q, n, lanes), and V, (N, q, q, lanes); S becomes the initial one."""
     for i in range(K.shape[0] - 1, -1, -1):
         stage(S, M, Q, R, S, K[i], V[i])
 
 
 @compiled
 def rollout(M: Array, K: Array, x: Array, u: Array) -> None:
-    """Predict x, (N + 1, n, lanes), from x_0 with M = [B A]; u, (N, q, lanes), holds what is added to -K x at first."""
+    """Predict x, (N + 1, n, lanes), from x_0 with M = [B A]; u, (N, q, lanes), first holds increments on -K x."""
     q, n, lanes = u.shape[1], x.shape[1], x.shape[2]
     for i in range(u.shape[0]):
         for a in range(q):
@@ -157,11 +157,11 @@ def rollout(M: Array, K: Array, x: Array, u: Array) -> None:
 
 @compiled
 def fit(x: Array, u: Array, centre: Array, trust: Array, hold: Array, fitted: Array) -> None:
-    """Solve equation (15) for squares: the rows of theta = [A B] by least squares, held to those of the centre.
+    """Solve equation (15) for squares: the rows of theta = [A B] by least squares, held near those of the centre.
 
     x is (window + 1, n, lanes) and u (window, m, lanes), newest first; ``centre`` and ``fitted`` are (n, n + m, lanes).
     ``trust``, (groups, window), and ``hold``, (groups, n + m), are roots of weights; there is one group for all rows
-    of theta, or one for each row.
+    of theta, or one per row.
     """
     window, n, d, lanes = u.shape[0], x.shape[1], x.shape[1] + u.shape[1], x.shape[2]
     count = n if trust.shape[0] == 1 else 1
@@ -249,7 +249,7 @@ def first_input(M: Array, Q: Array, R: Array, QN: Array, horizon: int, weight: A
     q, n, lanes = R.shape[0], M.shape[0], M.shape[2]
     S, stage_Q, stage_R = np.zeros(QN.shape), np.zeros(Q.shape), np.zeros(R.shape)
     for l in range(lanes):
-        # Divided by the weight where that is above one, no square leaves the range of floating-point numbers.
+        # Divided by a weight above one, no square leaves the range of floating-point numbers.
         up, down = sqrt(min(weight[l], 1.0)), sqrt(max(weight[l], 1.0))
         for i in range(n):
             for j in range(i, n):
@@ -281,7 +281,7 @@ def apply(M: Array, x: Array, start: Array) -> None:
 
 @inlined
 def push(history: Array, newest: Array) -> None:
-    """Move a stacked history along by one step: the newest entries come first, in the row and as the first row."""
+    """Shift a stacked history by one step: the newest entries come first, in the row and as the first row."""
     size, new = history.shape[1], newest.shape[0]
     for l in range(history.shape[2]):
         for i in range(history.shape[0] - 1, 0, -1):
@@ -347,12 +347,12 @@ def run(
 ) -> None:
     """Run the loop for as many steps as there are values of epsilon.
 
-    plant: [F G] and [H 0], which act on ``z``, the state with the input below it. Where they have no rows the plant is
-    the caller's, and ``lifted``, (steps, n, lanes), holds x(k).
-    state: x, u, v(k-1) and theta~(k-1). estimator, controller: see ``control``. signals: where y, v, z go,
-    (steps, size, lanes). models: where theta* and theta~ go, nowhere where they have no rows. ``first`` is the k of the
+    plant: [F G] and [H 0], which act on ``z``, the stacked state and input. Without rows the plant is the caller's, and
+    ``lifted``, (steps, n, lanes), holds x(k).
+    state: x, u, v(k-1) and theta~(k-1). estimator, controller: see ``control``. signals: outputs for y, v, z,
+    (steps, size, lanes). models: outputs for theta* and theta~, unused without rows. ``first`` is the k of the
     first step. ``diverged``, (lanes,), is -1 until a lane leaves the range of floating-point numbers, then the k at
-    which it did; its plant stays where it was.
+    which it did; its plant keeps its last state.
     """
     FG, H = plant
     x, u, v, theta = state
@@ -374,7 +374,7 @@ def run(
         else:
             push(x, lifted[j])
         control(x, u, theta, estimator, controller, epsilon[j], v, estimate)
-        # The difference of a number with itself is zero where it is finite, and NaN elsewhere.
+        # The difference of a number with itself is zero if it is finite, and NaN otherwise.
         for l in range(lanes):
             gap[l] = 0.0
             for a in range(v.shape[0]):

@@ -1,6 +1,6 @@
-"""Losses c, generators g and the Bregman distance that a generator induces, each with its domain and its facts.
+"""Losses c, generators g and the Bregman distance that a generator induces, each with its domain and known properties.
 
-A class that is marked ``registered`` says everything that is known of it; a new one needs nothing elsewhere.
+A class marked ``registered`` states everything known about it; a new one needs no entry elsewhere.
 """
 
 from rhl.losses._convex import GENERATORS, LOSSES, Convex, Generator, called, convex, registered

@@ -1,4 +1,4 @@
-"""What a loss or a generator is: the members that the estimator asks for, and the register of those that there are."""
+"""The protocol of losses and generators, and the register of their classes."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ class Generator(Protocol):
 
 
 class Convex(Generator, Protocol):
-    """A loss or a generator as the estimator takes it: value, gradient, curvature, domain, and what is known of it."""
+    """A loss or a generator for the estimator: value, gradient, curvature, domain and known properties."""
 
     @property
     def lower(self) -> float:
-        """Entries must lie above this; -inf where every number is in the domain."""
+        """Entries must lie above this; -inf if every number is in the domain."""
 
     @property
     def assumption_6(self) -> bool | None:
-        """Whether it is continuously differentiable and strictly convex (as a loss: least at zero); None: unknown."""
+        """Whether it is continuously differentiable and strictly convex (a loss: least at zero); None: unknown."""
 
     @property
     def convex_in_second(self) -> bool | None:
         """Whether the Bregman distance that it induces is convex in its second argument (Lemma 4); None: unknown."""
 
     def hessian(self, x: Array) -> Array:
-        """Return the second derivatives, shape (..., d) where the matrix is diagonal, else (..., d, d).
+        """Return the second derivatives, shape (..., d) if the matrix is diagonal, else (..., d, d).
 
-        A diagonal says that the function is a sum of functions of single entries: equation (15) then falls apart into
-        one problem for each row of [A B], and is solved and certified so.
+        A diagonal means that the function is a sum of functions of single entries. Equation (15) then splits into one
+        problem for each row of [A B], which are solved and certified separately.
         """
 
 
@@ -48,10 +48,10 @@ Kind = TypeVar("Kind", bound=type)
 
 
 def registered(kind: Kind) -> Kind:
-    """Enter a class of losses or generators, the one place where a new one is entered.
+    """Register a class of losses or generators.
 
-    Messages name it from then on. Where it has ``file_name``, what a file calls it, with ``file_loss`` or
-    ``file_generator``, the parameters that a file sets in that role, files offer it (``LOSSES``, ``GENERATORS``).
+    Messages then name it. A class with ``file_name``, its name in files, and with ``file_loss`` or ``file_generator``,
+    its parameters in that role, is also available in files (``LOSSES``, ``GENERATORS``).
 
     Examples
     --------
@@ -75,5 +75,5 @@ def convex(name: str, value: Any) -> Convex:
 
 
 def called(function: object) -> str:
-    """Return what messages call a loss or a generator."""
+    """Return the name of a loss or a generator in messages."""
     return str(getattr(function, "name", type(function).__name__))

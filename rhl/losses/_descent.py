@@ -1,4 +1,4 @@
-"""The minimiser of equation (15): Newton's method, and scipy's trust-region method where that one fails."""
+"""The minimiser of equation (15): Newton's method, and scipy's trust-region method if Newton's fails."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from rhl.errors import InputError, NotSolvedError
 from rhl.losses._convex import Convex, called
 from rhl.losses._proximal import TOLERANCE, Flat, Proximal
 
-# What a way ends with: the answer, its certified distance from the minimiser, and words for a message.
+# The result of a method: the solution, its certified distance from the minimiser, and a message.
 Answer = tuple[Array, float, str]
 
-# Newton's method is in reach of its end after a handful of steps or not at all.
+# Newton's method converges within a few steps or not at all.
 _STEPS = 40
-# A Newton step may go past the lowest point on its way to where the objective rises by this share of its first fall.
+# A Newton step may pass the minimum along its direction until the slope is this share of the initial one, rising.
 _PAST = 0.1
-# How often a step is made shorter.
+# How often a step is shortened.
 _SHORTER = 30
-# From here on, relative to the model, steps are full ones.
+# Steps below this length, relative to the model, are full steps.
 _NEAR = 1e-4
 _ITERATIONS = 60
-# Newton steps after scipy's method, which stops at what the squares of the data leave; the last ones change nothing.
+# Newton steps that refine scipy's solution, whose accuracy is limited by squaring the data; the last ones change
+# nothing.
 _POLISHES = 3
-# Residuals that are 1e30 times the loss's scale are beyond what sixteen digits can tell apart.
+# Residuals of 1e30 times the loss's scale cannot be resolved with sixteen digits.
 _MOST_HALVINGS = 100
-# A step this short, relative to the model, is below rounding, and what the solver is given would underflow.
+# A step this short, relative to the model, is below rounding, and the solver's problem would underflow.
 _NO_STEP = 1e-16
 
 
 class _Theirs(Exception):
-    """Carries what a user's function raised past scipy and past those who wait for numerical failures."""
+    """Carries an exception of a user's function past scipy and past handlers of numerical failures."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
 
 
 def solve(problem: Proximal) -> Array:
-    """Return the minimiser, certified: by Newton's method, or by scipy's trust-region method where that one fails.
+    """Return the certified minimiser from Newton's method, or from scipy's trust-region method if Newton's fails.
 
     InputError if the centre is not in the generator's domain, NotSolvedError if the certificate is missed.
     """
@@ -49,7 +50,7 @@ def solve(problem: Proximal) -> Array:
             f"the proximal centre must lie in the domain of {called(problem.g)}, above {problem.g.lower:g}, got "
             f"{problem.centre.min():.3g}; choose an initial model inside"
         )
-    for theta, distance, message in _attempts(problem):  # noqa: B007  # the message of the last is told
+    for theta, distance, message in _attempts(problem):  # noqa: B007  # the error reports the last message
         if distance <= TOLERANCE:
             return theta
     raise NotSolvedError(
@@ -59,7 +60,7 @@ def solve(problem: Proximal) -> Array:
 
 
 def _attempts(problem: Proximal) -> Iterator[Answer]:
-    """Yield answers, their distances and what is to be said of them, each from a slower way than the one before."""
+    """Yield solutions, their distances and messages, from faster to slower methods."""
     yield by_newton(problem, _start(problem))
     yield _followed(problem, by_newton)
     yield _by_scipy(problem, problem.centre)
@@ -67,7 +68,7 @@ def _attempts(problem: Proximal) -> Iterator[Answer]:
 
 
 def _start(problem: Proximal) -> Array:
-    """Return the centre, or what squares would answer where that lies lower."""
+    """Return the centre, or the solution for squares if its objective is lower."""
     squares: Callable[[], Convex] | None = getattr(problem.c, "squares", None)
     if squares is not None:
         try:
@@ -80,10 +81,10 @@ def _start(problem: Proximal) -> Array:
 
 
 def _followed(problem: Proximal, way: Callable[[Proximal, Array], Answer]) -> Answer:
-    """Follow the answers for the loss c(t e) / t^2 as t grows to 1.
+    """Follow the minimiser for the loss c(t e) / t^2 as t grows to 1.
 
-    Far beyond its scale a robust loss is a sharp valley. Along these losses, whose scale is larger by 1/t, the
-    minimiser moves continuously; followed from a t at which the loss is nearly a square, it is found.
+    Far beyond its scale a robust loss is a sharp valley. These losses have scales larger by 1/t, and their minimiser
+    depends continuously on t, so it can be followed from a t at which the loss is nearly a square.
     """
     answer = problem.centre, np.inf, ""
     for t in 0.5 ** np.arange(_halvings(problem), -1, -1.0):
@@ -105,11 +106,11 @@ def _halvings(problem: Proximal) -> int:
 
 
 def by_newton(problem: Proximal, theta: Array) -> Answer:
-    """Return where Newton's method ends, its distance, and a message."""
+    """Return the result of Newton's method, its distance, and a message."""
     try:
         length, step = problem.newton(theta)
         for _ in range(_STEPS):
-            # A step that lowers the objective by no more than its rounding must come nearer by itself.
+            # If the objective falls by less than its rounding, the Newton step itself must become shorter.
             if length <= _NEAR and np.all(theta + step > problem.g.lower):
                 further = problem.newton(theta + step)
                 if further[0] < length / 2:
@@ -122,7 +123,7 @@ def by_newton(problem: Proximal, theta: Array) -> Answer:
                 break
             theta = theta + share * step
             length, step = problem.newton(theta)
-        return theta, problem.certified(theta, length, step), "Newton's method does not come nearer"
+        return theta, problem.certified(theta, length, step), "Newton's method makes no progress"
     except Flat as error:
         return theta, np.inf, str(error)
 
@@ -130,8 +131,8 @@ def by_newton(problem: Proximal, theta: Array) -> Answer:
 def _share(problem: Proximal, theta: Array, step: Array) -> float | None:
     """Return a share of a Newton step that stays in the domain and ends before the objective rises steeply, or None.
 
-    Slopes tell, not values: they are exact where differences of values are rounding, and of what is convex they say as
-    much.
+    The search uses slopes, not values: slopes stay accurate where differences of values are rounding, and for a convex
+    function they contain the same information.
     """
     begin, share = float(problem.gradient(theta) @ step), 1.0
     if not begin < 0:
@@ -144,13 +145,13 @@ def _share(problem: Proximal, theta: Array, step: Array) -> float | None:
         end = float(problem.gradient(further) @ step)
         if end <= _PAST * abs(begin):
             return share
-        # Where a straight line through both slopes is zero.
+        # The zero of the line through both slopes.
         share *= min(max(begin / (begin - end), 0.1), 0.5)
     return None
 
 
 def _by_scipy(problem: Proximal, start: Array) -> Answer:
-    """Return scipy's answer from a starting point, its distance, and the solver's words."""
+    """Return scipy's solution from a starting point, its distance, and the solver's message."""
     try:
         length, step = problem.newton(start)
         if length < _NO_STEP:
@@ -160,8 +161,8 @@ def _by_scipy(problem: Proximal, start: Array) -> Answer:
         except _Theirs as error:
             raise error.error from None
         except (Flat, np.linalg.LinAlgError, ValueError) as error:
-            # The squares of data of 1e8 and more leave the solver a singular matrix, or one with infinite entries,
-            # which scipy refuses; Newton's step needs none.
+            # Squares of data of 1e8 and more give the solver a singular matrix or infinite entries, which scipy
+            # refuses; Newton's step needs no squares.
             theta, message = start, str(error)
         theta = _polish(problem, theta)
         return theta, problem.newton_decrement(theta), message
@@ -170,15 +171,15 @@ def _by_scipy(problem: Proximal, start: Array) -> Answer:
 
 
 def _trust(problem: Proximal, start: Array, step: Array) -> tuple[Array, str]:
-    from scipy.optimize import minimize  # here, because it takes long to load, and is hardly ever needed
+    from scipy.optimize import minimize  # imported here, because it takes long to load and is rarely needed
 
     hold = _called_for(problem.g.hessian, start)
     hold = np.diag(hold) if hold.ndim == 1 else hold
     free = np.eye(len(start)) if problem.free is None else problem.free[0]
-    # In eta the proximal term is |eta|^2 / 2 to second order, whatever the generator.
+    # In eta the proximal term is |eta|^2 / 2 to second order, for every generator.
     directions = np.linalg.solve(np.linalg.cholesky(free.T @ hold @ free), free.T).T
     reach = float(np.sqrt(step @ hold @ step))
-    # scipy's inner iteration does not end where a number is not finite, or where the radius is none.
+    # scipy's inner iteration does not end if a number is not finite or the radius is not a number.
     _within_range(np.asarray([reach, 1e6 * reach, 1 / reach**2 if reach > 0 else np.inf]))
 
     def bends(theta: Array) -> Array:

@@ -12,21 +12,21 @@ import numpy as np
 from rhl._checks import Array
 from rhl.losses._convex import Convex, called
 
-# The relative distance to the minimiser that an answer may have. Newton's method reaches 1e-12 on most problems;
-# residuals of a diverging run, 1e8 and more, leave it with what their squares leave of sixteen digits.
+# The largest accepted relative distance from the minimiser. Newton's method reaches 1e-12 on most problems; with the
+# residuals of a diverging run, 1e8 and more, squaring them limits its accuracy.
 TOLERANCE = 1e-7
-# A residual counts as far out on a loss where its pull is this many times what the curvature there would give.
+# A residual counts as far out on a loss if the gradient is this many times the curvature times the residual.
 _STRAIGHT = 100.0
-# Differences of a user's gradient show curvatures that are zero as this share of the others, above or below.
+# Finite differences of a user's gradient give zero curvatures up to this share of the others, of either sign.
 _FLAT = 1e-6
-# Beyond so many parameters LAPACK's factorisations are quicker than rotations row by row, as they are than interpreted
-# ones.
+# With more parameters LAPACK's factorisations are faster than compiled rotations; they are always faster than
+# interpreted ones.
 _FEW = 500
 _COMPILES = find_spec("numba") is not None
 
 
 def regression_of_rows(x: Array, u: Array) -> tuple[Array, Array]:
-    """Return s(k) and what all rows of [A B] are multiplied with, shapes (..., window n) and (..., window, n + q)."""
+    """Return s(k) and the regressor that all rows of [A B] share, shapes (..., window n) and (..., window, n + q)."""
     regressors = np.concatenate([x[..., 1:, :], u], axis=-1)
     return x[..., :-1, :].reshape(*x.shape[:-2], -1), regressors
 
@@ -40,9 +40,9 @@ def regression(x: Array, u: Array) -> tuple[Array, Array]:
 
 
 def quadratic(s: Array, R: Array, c: Array | float, g: Array | float, centre: Array, free: Array) -> Array:
-    """Minimise over centre + range(free) where c and g are the weights of squares; any batch axes lead."""
+    """Minimise over centre + range(free) for squares with weights c and g; any batch axes lead."""
     trust, hold = _root(c, s.shape[-1]), _root(g, centre.shape[-1])
-    # In eta = hold free xi, orthogonalised, the proximal term is |eta|^2, whatever the weights.
+    # In eta = hold free xi, orthogonalised, the proximal term is |eta|^2 for all weights.
     directions = free @ np.linalg.inv(np.linalg.qr(hold @ free, mode="r"))
     target = ((s - np.einsum("...ab,...b->...a", R, centre)) @ trust.T)[..., None]
     rows = trust @ R @ directions
@@ -60,16 +60,16 @@ def _root(weight: Array | float, size: int) -> Array:
 
 
 class Flat(Exception):
-    """There is no Newton step, for want of curvature or of range; what a user's function raises is never this."""
+    """There is no Newton step, for lack of curvature or range; a user's function never raises this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proximal:
     """Equation (15) for one window: minimise c(s - R theta) + D(theta, centre) over centre + range(free).
 
-    With as many blocks as rows of [A B], one regressor serves all of them: the residuals are S - R Theta, where
-    S, (m, blocks), and Theta, (d, blocks), hold s and theta row by row. The problem then falls apart into one for each
-    block, unless a second derivative of c or g turns out to be a matrix. One block is any problem at all.
+    With as many blocks as rows of [A B], all blocks share one regressor: the residuals are S - R Theta, where
+    S, (m, blocks), and Theta, (d, blocks), hold s and theta row by row. The problem then splits into one for each
+    block, unless a second derivative of c or g is a full matrix. A single block covers the general problem.
 
     s, shape (m blocks,), and R, shape (m, d), are those of equations (16) and (17); c is the loss and g the generator;
     the proximal centre has shape (d blocks,). ``free`` holds the directions in which the parameters of each block may
@@ -85,7 +85,7 @@ class Proximal:
 
     @property
     def blocks(self) -> int:
-        """How many problems it is made of."""
+        """The number of separate problems."""
         return len(self.s) // len(self.R)
 
     def residual(self, theta: Array) -> Array:
@@ -123,7 +123,7 @@ class Proximal:
 
     @cached_property
     def _moving(self) -> tuple[np.ndarray, Array | None]:
-        """The blocks that may move, and their directions, filled up with zeros to as many as the freest has."""
+        """The blocks that may move, and their directions, padded with zeros to equal number."""
         if self.free is None:
             return np.arange(self.blocks), None
         rows = np.array([i for i, basis in enumerate(self.free) if basis.shape[1]], dtype=int)
@@ -133,9 +133,9 @@ class Proximal:
         return rows, bases
 
     def newton_decrement(self, theta: Array) -> float:
-        """Return how far theta is from the minimiser: the length of Newton's step, relative to theta's.
+        """Return the distance of theta from the minimiser: the norm of Newton's step, relative to theta's.
 
-        Where c and g are quadratic this is the distance itself, elsewhere the distance but for terms of second order.
+        This is exact if c and g are quadratic, and otherwise correct up to terms of second order.
         """
         try:
             return self.certified(theta, *self.newton(theta))
@@ -144,15 +144,15 @@ class Proximal:
 
     def certified(self, theta: Array, length: float, step: Array) -> float:
         """Return the distance, given Newton's step from there."""
-        # On the kink of a sharp valley the step is short, wherever the minimiser is: so is the next only near it.
+        # On the kink of a sharp valley the step is short anywhere; the next step is short only near the minimiser.
         if length <= TOLERANCE and np.all(theta + step > self.g.lower):
             length = max(length, self.newton(theta + step)[0])
         return length if np.isfinite(length) else np.inf
 
     def newton(self, theta: Array) -> tuple[float, Array]:
-        """Return the length of Newton's step, in the generator's metric and relative to theta's, and the step.
+        """Return the norm of Newton's step, in the generator's metric and relative to theta's, and the step.
 
-        Flat if the loss bends down, or the generator does not bend up.
+        Flat if the loss has negative curvature, or the generator no positive one.
         """
         e = self.residual(theta)
         slope, bend = self.c.gradient(e), self.c.hessian(e)
@@ -189,7 +189,7 @@ class Proximal:
 
     @property
     def _for_kernel(self) -> bool:
-        """Whether a compiled kernel rotates row by row: where there is a compiler, and few parameters."""
+        """Whether to use the compiled rotations: with a compiler and few parameters."""
         return self.blocks > 1 and len(self.centre) <= _FEW and _COMPILES
 
     def _compiled(self, e: Array, slope: Array, bend: Array, hold: Array, back: Array) -> Array:
@@ -205,7 +205,7 @@ class Proximal:
     def _factorised(self, R: Array, e: Array, slope: Array, bend: Array, hold: Array, back: Array) -> Array:
         rows, free = self._moving
         bends, holds = bend.reshape(-1, self.blocks), hold if hold.ndim == 2 else hold.reshape(-1, self.blocks)
-        # Blocks that differ in their targets alone share one factorisation, with a column for each.
+        # Blocks that differ only in their targets share one factorisation, with a column for each.
         shared = free is None and hold.ndim == 1 and _same(bends) and _same(holds)
 
         def columns(of: Array) -> Array:
@@ -243,7 +243,7 @@ class Proximal:
             weighed = root[rows][..., None] * free
         if free is None:
             return np.linalg.inv(weighed)
-        # A direction that only fills up is given a length of its own, at right angles to all others.
+        # A padding direction gets an arbitrary norm, orthogonal to all others.
         filling = np.zeros((len(weighed), *[weighed.shape[-1]] * 2))
         at = np.arange(weighed.shape[-1])
         filling[:, at, at] = ~np.any(weighed, axis=-2)
@@ -251,9 +251,9 @@ class Proximal:
 
 
 def _roots(e: Array, slope: Array, bend: Array) -> tuple[Array, np.ndarray]:
-    """Return the roots of a loss's curvature, and where its pull can be written as one of them times a target.
+    """Return the roots of a loss's curvature, and where the gradient is a root times a finite target.
 
-    It cannot where the loss has hardly any curvature left.
+    It is not if the loss has almost no curvature there.
     """
     return np.sqrt(np.maximum(bend, 0)), (bend > 0) & (np.abs(slope) <= _STRAIGHT * bend * np.abs(e))
 

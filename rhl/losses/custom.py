@@ -1,4 +1,4 @@
-"""Losses and generators of the user's own, and losses that change with k."""
+"""Your own losses and generators, and losses that change with k."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False, init=False)
 class CustomLoss:
-    """A loss or a generator of the user's own, from its value and its gradient.
+    """Your own loss or generator, from its value and its gradient.
 
-    InputError if an argument is of the wrong kind; later, when a function returns another shape, or NaN. What the
-    functions raise themselves comes through as it is, with a note of which of them was called.
+    InputError if an argument is of the wrong kind; later, when a function returns another shape, or NaN. Exceptions of
+    the functions pass through, with a note about the call.
 
     Parameters
     ----------
     value : callable
-        x, shape (d,) -> c(x) or g(x), a number. In the order of ``WeightedSquares``.
+        x, shape (d,) -> c(x) or g(x), a number. Entries are in the order of ``WeightedSquares``.
     gradient : callable
         x, shape (d,) -> the gradient, shape (d,).
     hessian : callable, optional
-        x, shape (d,) -> second derivatives, shape (d,) where the matrix is diagonal, else (d, d). Taken by forward
-        differences of the gradient where omitted: slower, and the answer as exact.
+        x, shape (d,) -> second derivatives, shape (d,) if the matrix is diagonal, else (d, d). By default forward
+        differences of the gradient, which are slower but give solutions as accurate.
     lower : float
-        The domain is where every entry lies above this.
+        The domain consists of the vectors whose entries are above this.
     assumption_6, convex_in_second : bool, optional
-        What is known of it, see ``Convex``; omitted: nothing, and the estimator says so.
+        Known properties, see ``Convex``; by default they are unknown, and the estimator warns.
     name : str
-        What messages call it.
+        Its name in messages.
     separable : bool
-        Whether it is a sum of functions of single entries. A hessian says so by its shape; where it is omitted, this
-        does: one difference of the gradient is then enough, and equation (15) is solved row by row.
+        Whether it is a sum of functions of single entries. The shape of ``hessian`` states this; without one, True
+        needs only one difference of the gradient, and equation (15) is solved row by row.
     """
 
     _value: Callable[[Array], float]
@@ -103,11 +103,11 @@ class CustomLoss:
         return _each(self._differences, x, (d,) if self.separable else (d, d))
 
     def _at(self, point: Array) -> Array:
-        # Outside its domain a function of the user's need not have an answer.
+        # A user's function need not be defined outside its domain.
         return self._call("value", self._value, point, [()]) if np.all(point > self.lower) else np.asarray(np.inf)
 
     def _differences(self, point: Array) -> Array:
-        # Forward, because the domain is bounded from below only.
+        # Forward differences, because the domain is bounded only from below.
         widths = np.sqrt(np.finfo(float).eps) * np.maximum(np.abs(point), 1e-3)
         if self.separable:
             moved = point + widths
@@ -157,7 +157,7 @@ class Varying:
 
 
 def _theirs(function: Callable[..., Found], argument: object, note: str) -> Found:
-    """Call a function of the user's; what it raises is the user's to see, with a note of where it came from."""
+    """Call a user's function; its exceptions pass through, with a note about the call."""
     try:
         return function(argument)
     except Exception as error:
@@ -166,6 +166,6 @@ def _theirs(function: Callable[..., Found], argument: object, note: str) -> Foun
 
 
 def _each(function: Callable[[Array], ArrayLike], x: Array, core: tuple[int, ...]) -> Array:
-    """Call a function that knows vectors only for every member of a batch."""
+    """Call a function of single vectors for every member of a batch."""
     found = [np.asarray(function(point)) for point in x.reshape(-1, x.shape[-1])]
     return np.reshape(found, (*x.shape[:-1], *core))

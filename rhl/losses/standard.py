@@ -96,14 +96,14 @@ class LogCosh:
         object.__setattr__(self, "weight", _entrywise(self.weight))
 
     def squares(self) -> WeightedSquares:
-        """Return the squares that it comes down to for small residuals, whose answer is a good start for its own."""
+        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
         return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""
         t = np.abs(x) / self.scale
-        # Near zero the second form would cancel, far from it the first would overflow; and nearer than 1e-8 log cosh
-        # t is t^2 / 2. As the share of t in it, neither s^2 nor t^2 need be formed, which may leave the range.
+        # Near zero the second form would cancel, far from it the first would overflow, and below 1e-8 log cosh t is
+        # t^2 / 2. Dividing by t avoids s^2 and t^2, which may leave the range.
         near = np.clip(t, 1e-8, 1)
         small = np.where(t < 1e-8, t / 2, np.log1p(2 * np.sinh(near / 2) ** 2) / near)
         far = np.maximum(t, 1)
@@ -124,7 +124,7 @@ class LogCosh:
 @registered
 @dataclass(frozen=True, eq=False)
 class PseudoHuber:
-    r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, Huber's, made smooth.
+    r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, a smooth version of Huber's.
 
     Source: Charbonnier et al., Deterministic edge-preserving regularization in computed imaging, IEEE Trans. Image
     Process. 6 (1997). Its domain is all of R^d and Assumption 6 holds. As a generator its distance is not convex in
@@ -153,7 +153,7 @@ class PseudoHuber:
         object.__setattr__(self, "weight", _entrywise(self.weight))
 
     def squares(self) -> WeightedSquares:
-        """Return the squares that it comes down to for small residuals, whose answer is a good start for its own."""
+        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
         return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
@@ -177,9 +177,9 @@ class Entropy:
     r"""The generator :math:`g(\theta) = \sum_i w_i\, \theta_i \log\theta_i` on positive parameters.
 
     ``weight``, :math:`w_i`, is one positive number or one for each entry of :math:`\theta`, in its order. The distance
-    is Kullback's and Leibler's, which is convex in both arguments together, so that Lemma 4 applies; Assumption 6 holds
-    on its domain, the positive numbers. Every entry of A and B then stays positive, the initial model's included: fit
-    for positive systems (flows, stocks, populations) only.
+    is the Kullback-Leibler divergence, which is jointly convex, so Lemma 4 applies; Assumption 6 holds
+    on its domain, the positive numbers. Every entry of A and B must be positive, also in the initial model, so it suits
+    only positive systems (flows, stocks, populations).
     """
 
     weight: Array | float = 1.0
@@ -213,7 +213,7 @@ def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
     r"""Bregman distance :math:`D(x,y) = g(x) - g(y) - (x-y)^\top \nabla g(y)`, shape (...), for x and y of (..., d).
 
     Nonnegative, zero only for x = y, since g is strictly convex; the definition follows equation (15). InputError if a
-    point lies outside the domain, so that the distance is no number.
+    point lies outside the domain.
 
     Examples
     --------
@@ -224,7 +224,7 @@ def divergence(g: Generator, x: ArrayLike, y: ArrayLike) -> Array:
     x, y = real_array("x", x, (None,)), real_array("y", y, (None,))
     d, weights = x.shape[-1], np.shape(getattr(g, "weight", 1.0))
     if y.shape[-1] != d:
-        raise InputError(f"x and y must have as many entries as each other, got {d} and {y.shape[-1]}")
+        raise InputError(f"x and y must have the same number of entries, got {d} and {y.shape[-1]}")
     common_batch(x=(x, 1), y=(y, 1))
     if weights not in ((), (d,), (d, d)):
         raise InputError(

@@ -1,1 +1,1 @@
-"""The paper: its published curves, its claims as checks, and what the book's pages share."""
+"""The paper: its published curves, its claims as checks, and functions shared by the book's pages."""

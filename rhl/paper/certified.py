@@ -1,9 +1,9 @@
 """The paper's simulations in ball arithmetic: every number with a proved bound of its error.
 
 A ball is a midpoint and a radius. Arithmetic on balls (``arb``, of the package python-flint) rounds the midpoint and
-enlarges the radius by as much, so that the true number is never left out. What is computed here is therefore a theorem
-about the scheme with exact numbers, not a measurement of a program. The recipe is written down anew, by other formulas
-than the library's: normal equations and the textbook's Riccati recursion, which only many digits can afford.
+enlarges the radius accordingly, so the ball always contains the true number. A result is therefore a theorem about the
+scheme with exact numbers, not a measurement of a program. The recipe is implemented again with other formulas than the
+library's: normal equations and the textbook Riccati recursion, which need many digits.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 Exact = tuple[Fraction, ...]
 
-# Bits that a run loses grow with its length; with these the last samples still have some hundred digits.
+# The loss of bits grows with the length of a run; with these the last samples still have some hundred digits.
 LINEAR_BITS = 4000
 ROBOT_BITS = 6000
 
 
 def flint() -> Any:
-    """Return the package python-flint; ModuleNotFoundError, in one sentence that names the extra, where it is missing.
+    """Return the package python-flint; ModuleNotFoundError, in one sentence that names the extra, if it is missing.
 
-    It is loaded when it is first needed, so that everything else works without it.
+    It is loaded on first use, so that everything else works without it.
     """
     try:
         return import_module("flint")
@@ -48,18 +48,18 @@ def flint() -> Any:
 
 
 def ball(number: Fraction | int | float) -> arb:
-    """Enclose an exact number, to the precision that is set; a float counts as the exact number that it holds."""
+    """Enclose an exact number in the current precision; a float counts as its exact value."""
     exact, package = Fraction(number), flint()
     return cast("arb", package.arb(package.fmpq(exact.numerator, exact.denominator)))
 
 
 def whole_line() -> arb:
-    """Return the ball that holds every real number: what is known where nothing is."""
+    """Return the ball that contains every real number, for an unknown number."""
     return cast("arb", flint().arb(0, "inf"))
 
 
 def decimal(number: float) -> Fraction:
-    """Return what is printed where this float64 is meant: 0.1 is a tenth, not the float64 beside it.
+    """Return the decimal fraction printed for a float64: 0.1 is a tenth, not the nearest float64.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class ExactLinear:
         return [_dot(row, z) for row in self.H]
 
 
-# What stands behind the floats of `rhl.plants.robot_arm`, row by row of (24); a test holds the two together.
+# The fractions for the floats of `rhl.plants.robot_arm`, row by row of (24); a test compares the two.
 ARM: dict[str, Exact] = {
     "data": tuple(map(Fraction, ("400/11", "478/275", "1000/11", "86.04", "3.64", "100"))),
     "printed": tuple(map(Fraction, ("36.4", "1.7", "1309", "1000", "3.6", "100"))),
@@ -111,7 +111,7 @@ class ExactArm:
     h: Fraction
 
     def step(self, z: Sequence[arb], v: arb) -> list[arb]:
-        """Return z + h f(z, v); the sine is enclosed, too."""
+        """Return z + h f(z, v); the sine is enclosed too."""
         a, b, c, d, e, f = map(ball, self.coefficients)
         (x1, x2, x3), h = z, ball(self.h)
         return [x1 + h * x2, x2 + h * (a * x3 - b * x2 - c * x1.sin()), x3 + h * (f * v - d * x3 - e * x2)]
@@ -128,9 +128,9 @@ class Recipe:
     Attributes
     ----------
     name, plant, z0 : str, ExactPlant, tuple of Fraction
-        What runs, and from where.
+        The plant and its initial state.
     outputs, inputs, window, horizon, steps : int
-        How many y(k), v(k) are stacked; transitions fitted; N; steps to run.
+        The numbers of stacked y(k) and v(k), of fitted transitions, N, and the number of steps.
     theta : tuple of tuples of Fraction, shape (n, n + inputs)
         The initial model [A(0) B(0)].
     Q, R, QN, rate, mixing : Fraction
@@ -154,9 +154,9 @@ class Recipe:
 
 
 def recipe_of(experiment: Experiment) -> Recipe:
-    """Take an experiment over in exact numbers: those that are printed where its floats are meant.
+    """Return an experiment in exact numbers, the decimal fractions of its floats.
 
-    InputError if it is not of the kind that ``Recipe`` is made for.
+    InputError if ``Recipe`` does not cover its settings.
     """
     scheme, plant = experiment.scheme, experiment.plant
     estimator, controller, lifting, mixing = scheme.estimator, scheme.controller, scheme.lifting, scheme.mixing
@@ -215,12 +215,12 @@ def robot_recipe(*, printed: bool = False) -> Recipe:
 
 @dataclass(frozen=True, eq=False)
 class Enclosure:
-    """A run in balls; where the precision did not suffice, balls are the whole line, which is true of any run.
+    """A run in balls; if the precision did not suffice, balls are the whole line, which contains any run.
 
     Attributes
     ----------
     recipe, bits : Recipe, int
-        What ran, and with how many bits.
+        The recipe, and the precision in bits.
     z, y, y_hat : tuples of tuples of arb, shapes (steps, n), (steps, p), (steps, p)
         States, outputs, and the outputs predicted at k-1 (y(0) at k = 0).
     u : tuple of arb, shape (steps)
@@ -247,11 +247,11 @@ class Enclosure:
 
 
 def enclose(recipe: Recipe, bits: int, data: tuple[Sequence[Fraction], Sequence[Fraction]] | None = None) -> Enclosure:
-    """Run a recipe in balls of so many bits.
+    """Run a recipe in balls with the given precision.
 
-    ``data``: outputs y(k), of a plant with one output, and inputs v(k), that the scheme is fed with in the place of its
-    own; ``u`` are then the inputs that it answers with. The states are those that its own inputs lead to otherwise, and
-    the whole line here.
+    ``data``: outputs y(k), of a plant with one output, and inputs v(k), that the scheme gets instead of its own;
+    ``u`` are then its inputs for them, and the states are the whole line. Otherwise the states follow from its own
+    inputs.
     """
     with flint().ctx.workprec(bits):
         return _enclose(recipe, bits, data)
@@ -279,7 +279,7 @@ def _enclose(recipe: Recipe, bits: int, data: tuple[Sequence[Fraction], Sequence
         try:
             after = theta if k == 0 else _fit(theta, [x(j) for j in range(recipe.window + 1)], u, recipe.mixing)
             v = _first_input(recipe, _augment(recipe, theta), X, _squares(X) * ball(1 + recipe.rate * k))
-        except ZeroDivisionError:  # the balls are so wide that they hold a matrix without inverse
+        except ZeroDivisionError:  # the balls are so wide that they contain a singular matrix
             break
         rows.append((z, y, y_hat, v))
         theta = after
@@ -324,7 +324,7 @@ def _augment(recipe: Recipe, theta: arb_mat) -> tuple[arb_mat, arb_mat]:
 
 
 def _first_input(recipe: Recipe, pair: tuple[arb_mat, arb_mat], X: list[arb], weight: arb) -> arb:
-    """Return the first input of V1's solution by the Riccati recursion, ``weight`` being Gamma/eps."""
+    """Return the first input of V1's solution by the Riccati recursion, with ``weight`` Gamma/eps."""
     A, B = pair
     P, K = _diagonal(len(X), weight * ball(recipe.QN)), B.transpose()
     half = ball(Fraction(1, 2))
@@ -352,7 +352,7 @@ def _column(found: arb_mat) -> list[arb]:
 
 
 def _squares(entries: Iterable[arb]) -> arb:
-    # `e * e` of a ball that holds zero would reach below zero.
+    # `e * e` of a ball that contains zero would extend below zero.
     return sum((entry**2 for entry in entries), ball(0))
 
 

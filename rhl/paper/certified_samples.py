@@ -1,4 +1,4 @@
-"""Enclosed runs beside published samples and beside float64: proved digits, and distances between proved bounds."""
+"""Enclosed runs compared with published samples and with float64: proved digits, and proved bounds of distances."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from rhl.trace import Trace
 if TYPE_CHECKING:
     from flint import arb
 
-# A decimal digit is 3.32193 bits; rounded so that no digit is counted that is not proved.
+# A decimal digit is 3.32193 bits, rounded so that no unproved digit is counted.
 _DIGITS_PER_BIT = Fraction(30102, 100000)
-# Against the published data as `published` has it: fifteen digits, of which transients and the unstable pole eat six.
+# The tolerance of `published`: fifteen digits, of which transients and the unstable pole cost six.
 MET = Fraction(1, 10**9)
 
 
 def digits(enclosed: arb) -> int:
-    """Return how many decimal digits of a number are proved: the most N with a relative error below 10^-N.
+    """Return the number of proved decimal digits: the largest N with a relative error below 10^-N.
 
-    Zero where none is, and where it cannot be told from zero; as many as the precision has where it is exact.
+    Zero if none is proved, or the ball contains zero; all digits of the precision for an exact number.
     """
     bits = flint().ctx.prec if enclosed.is_exact() else enclosed.rel_accuracy_bits()
     return max(0, math.floor(int(bits) * _DIGITS_PER_BIT))
 
 
 def bounds(enclosed: arb) -> tuple[float, float]:
-    """Return float64 numbers between which the true one lies, rounded outwards; -inf and inf where nothing is known."""
+    """Return float64 bounds of a number, rounded outwards; -inf and inf for an unknown number."""
     if not enclosed.is_finite():
         return -math.inf, math.inf
     low, high = (_rational(end) for end in (enclosed.lower(), enclosed.upper()))
@@ -47,21 +47,20 @@ def _rational(end: arb) -> Fraction:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One published sample and ours.
+    """A published sample and its enclosed value.
 
     Attributes
     ----------
     signal, k : str, int
-        One of ``published.CURVES`` without its example, and the step.
+        One of ``published.CURVES`` without its example name, and the step.
     value : arb
-        Ours.
+        The enclosed value.
     distance : arb
-        From the published one, absolute, or relative to it for the weight of figure 6; both have the digits that are
-        proved.
+        The distance from the published one, absolute, or relative to it for the weight of figure 6.
     digits : int
-        Of ``value``, that are proved.
+        The number of proved digits of ``value``.
     met : bool or None
-        Whether the distance is proved to be at most ``MET``, or proved to be larger; None where neither is.
+        Whether the distance is proved to be at most ``MET``, or proved to be larger; None if neither is.
     """
 
     signal: str
@@ -75,7 +74,7 @@ class Sample:
 def signals(run: Enclosure, example: str) -> dict[str, tuple[arb, ...]]:
     """Return the signals of a run whose curves are published, by the name of the curve.
 
-    ``example`` {"linear", "robot"}: whose run it is.
+    ``example`` {"linear", "robot"}: the example of the run.
     """
     if example == "robot":
         return {f"x{i + 1}": tuple(z[i] for z in run.z) for i in range(3)}
@@ -108,13 +107,13 @@ def _sample(signal: str, k: int, value: arb, sample: Fraction) -> Sample:
     distance = abs(value - ball(sample))
     if signal == "gamma_over_eps":
         distance = distance / abs(ball(sample))
-    # A comparison of balls is true only where it is true of all numbers in them.
+    # A comparison of balls is true only if it is true for all numbers in them.
     met = True if distance <= ball(MET) else False if distance > ball(MET) else None
     return Sample(signal, k, value, distance, digits(value), met)
 
 
 def unlike(one: Sequence[arb], other: Sequence[arb]) -> list[int]:
-    """Return the k at which two enclosed signals are proved to differ."""
+    """Return the k at which two enclosed signals provably differ."""
     return [k for k, (a, b) in enumerate(zip(one, other, strict=True)) if not a.overlaps(b)]
 
 
@@ -129,10 +128,10 @@ class FloatError:
 
 
 def errors_of(trace: Trace, run: Enclosure) -> list[FloatError]:
-    """Enclose the errors of a run of the library: outputs, inputs and predictions, at their worst over its steps.
+    """Enclose the errors of a run of the library: the largest ones of outputs, inputs and predictions.
 
-    The trace's floats count as the exact numbers that they are; so what the library's settings lack (0.1 is no float64)
-    is part of the error.
+    The trace's floats count as their exact values, so the rounding of the library's settings (0.1 is not a float64) is
+    part of the error.
     """
     instance("trace", trace, Trace)
     steps, p = trace.y.shape

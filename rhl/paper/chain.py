@@ -1,7 +1,7 @@
-"""What rests on what: the graph of statements and of what their proofs use, read off the ledger.
+"""What rests on what: the graph of statements and their uses in proofs, from the ledger.
 
-Equations, steps of a proof, examples and definitions are no nodes. They are folded: where a proof uses one of them, it
-uses what that one rests on.
+Equations, steps of a proof, examples and definitions are not nodes. They are folded: a proof that uses one of them uses
+the nodes behind it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from rhl.paper.claims.claim import Claim, Status
 
 Standing = Literal["given", "stands", "corrected", "tried", "fails", "undermined", "open"]
 
-# From a hypothesis to what fails, with what each means to a reader.
+# The standings, with their meaning for a reader.
 STANDINGS: dict[Standing, str] = {
     "given": "assumed",
-    "stands": "proved, and so is all that it rests on",
+    "stands": "proved, like everything that its proof uses",
     "corrected": "holds once corrected",
-    "tried": "holds on all cases tried, or rests on what was only tried",
+    "tried": "holds on all cases tried, or uses a statement that was only tried",
     "fails": "fails: counterexample",
-    "undermined": "rests on what fails",
-    "open": "cannot be checked, or rests on what cannot",
+    "undermined": "uses a statement that fails",
+    "open": "cannot be checked, or uses a statement that cannot",
 }
 
 _SHOWN = ("Assumption", "Lemma", "Theorem", "Remark")
@@ -37,15 +37,15 @@ class Node:
     Attributes
     ----------
     claim : Claim
-        What it says, and where it is proved.
+        The statement and its proof.
     status : Status
-        What its own checks and its proof say.
+        The status from its own checks and its proof.
     standing : Standing
-        What is left of that with all that it rests on.
+        The status given everything that it uses.
     uses : tuple of str
-        The ids of the nodes that its proof uses, directly or by way of folded claims.
+        The ids of the nodes that its proof uses, directly or through folded claims.
     layer : int
-        Zero where it uses no node, else one more than the largest among those that it uses.
+        Zero if it uses no node, else one more than the largest layer among those it uses.
     """
 
     claim: Claim
@@ -56,9 +56,9 @@ class Node:
 
 
 def principal(claim: Claim) -> bool:
-    """Whether a claim is an item itself, such as "lemma-1.a" for Lemma 1(a), and not something further on it.
+    """Whether a claim is an item itself, such as "lemma-1.a" for Lemma 1(a), and not a further result about it.
 
-    This project's own items are marked as they are in mathematics: "Theorem 1*", "Theorem 3'".
+    This project's own items have marks, as in "Theorem 1*" and "Theorem 3'".
     """
     if claim.item.endswith(("*", "'")):
         return claim.id.count(".") == 1
@@ -67,10 +67,10 @@ def principal(claim: Claim) -> bool:
 
 
 def shown(claims: Sequence[Claim]) -> list[Claim]:
-    """Return the claims that are nodes: assumptions, lemmas, theorems and remarks, and what carries them.
+    """Return the claims that are nodes: assumptions, lemmas, theorems, remarks and claims that support them.
 
-    That is, of what the items rest on, the claims on lemmas and theorems that the proof of another item uses. Steps of
-    one proof, and results on which no item rests, are left out.
+    A supporting claim is one on a lemma or theorem that the proof of another item uses. Steps of one proof, and results
+    that no item uses, are left out.
     """
     by_id = {claim.id: claim for claim in claims}
     items = [claim for claim in claims if claim.item.startswith(_SHOWN) and principal(claim)]
@@ -97,9 +97,9 @@ def _family(claim: Claim) -> str:
 
 
 def in_order(claims: Sequence[Claim]) -> list[Claim]:
-    """Return claims so that each comes after all that it uses.
+    """Return claims in an order in which each comes after all that it uses.
 
-    InputError if one uses what is not there, or if they go round in a circle.
+    InputError if one uses an unknown claim, or if uses form a cycle.
     """
     by_id = {claim.id: claim for claim in claims}
     for claim in claims:
@@ -109,12 +109,12 @@ def in_order(claims: Sequence[Claim]) -> list[Claim]:
     try:
         order = list(TopologicalSorter({claim.id: claim.uses for claim in claims}).static_order())
     except CycleError as error:
-        raise InputError(f"claims must not rest on themselves, got {' <- '.join(error.args[1])}") from None
+        raise InputError(f"claims must not use themselves, got {' <- '.join(error.args[1])}") from None
     return [by_id[id] for id in order]
 
 
 def folded(claims: Sequence[Claim]) -> dict[str, tuple[str, ...]]:
-    """Return for each node the nodes that its proof uses, through the claims that are none."""
+    """Return for each node the nodes that its proof uses, directly or through folded claims."""
     order = in_order(claims)
     nodes = {claim.id for claim in shown(claims)}
     reached: dict[str, set[str]] = {}
@@ -124,10 +124,10 @@ def folded(claims: Sequence[Claim]) -> dict[str, tuple[str, ...]]:
 
 
 def standings(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> dict[str, Standing]:
-    """Return what is left of each claim's status with all that it rests on, folded claims included.
+    """Return each claim's standing given everything that it uses, including folded claims.
 
-    It "stands" where it is proved, as printed, on nothing but what is assumed or proved. A corrected statement does not
-    hold as printed; what uses it uses the corrected form, and loses nothing by it if that form is proved.
+    It "stands" if it is proved as printed from assumed or proved claims only. A corrected statement does not hold as
+    printed; claims that use it use the corrected form, which does not weaken them if that form is proved.
     """
     found: dict[str, Standing] = {}
     sound: set[str] = set()
@@ -158,7 +158,7 @@ def standings(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> dict[s
 
 
 def graph(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> list[Node]:
-    """Return the nodes, each after all that it uses. ``statuses``: of all claims, by id."""
+    """Return the nodes, each after all that it uses. ``statuses``: those of all claims, by id."""
     uses, left = folded(claims), standings(claims, statuses)
     layers: dict[str, int] = {}
     nodes = []
@@ -170,7 +170,7 @@ def graph(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> list[Node]
 
 
 def ancestors(nodes: Iterable[Node], id: str) -> set[str]:
-    """Return the ids of all nodes that this one rests on, itself included."""
+    """Return the ids of all nodes that this one uses, directly or not, including itself."""
     uses = {node.claim.id: node.uses for node in nodes}
     found, waiting = set(), [id]
     while waiting:
@@ -182,7 +182,7 @@ def ancestors(nodes: Iterable[Node], id: str) -> set[str]:
 
 
 def arrows(nodes: Sequence[Node]) -> list[tuple[str, str]]:
-    """Return the pairs (used, user) to draw: those that no longer way through other nodes already shows."""
+    """Return the pairs (used, user) to draw, without those implied by a path through other nodes."""
     above = {node.claim.id: ancestors(nodes, node.claim.id) for node in nodes}
     return [
         (id, node.claim.id)

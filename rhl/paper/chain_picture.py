@@ -12,24 +12,24 @@ from rhl.paper.claims.claim import Claim
 from rhl.paper.listing import seen_from_book
 from rhl.paper.pages import readable
 
-# All in CSS pixels of an unscaled picture; text is 13 and 11 high.
+# In CSS pixels of an unscaled picture; text has heights 13 and 11.
 _HEIGHT, _BETWEEN, _GAP, _MARGIN = 56, 44, 7, 4
 _NAME, _WORD, _LEAST = 6.8, 6.0, 70
 
-# What stands in a box below its name; shorter than the legend.
+# The text in a box below its name, shorter than the legend.
 _WORDS: dict[Standing, str] = {
     "given": "assumed",
     "stands": "proved",
     "corrected": "once corrected",
     "tried": "tried",
     "fails": "fails",
-    "undermined": "rests on what fails",
+    "undermined": "uses one that fails",
     "open": "open",
 }
 
 
 def names_of(claim: Claim) -> tuple[str, str]:
-    """Return what a node is called: the paper's item and what the id adds to it, as in ("Lemma 4", "weak")."""
+    """Return a node's name: the paper's item and the id's addition to it, as in ("Lemma 4", "weak")."""
     plain = "".join(filter(str.isalnum, claim.item)).lower()
     rest = claim.id
     while plain and rest:
@@ -40,33 +40,33 @@ def names_of(claim: Claim) -> tuple[str, str]:
         rest = rest[1:]
     rest = rest.strip(".-")
     if claim.item.endswith(("*", "'")):
-        rest = rest.partition(".")[2]  # "star" or "prime" stands in the name already
+        rest = rest.partition(".")[2]  # the name already contains "star" or "prime"
     return claim.item, rest.replace("-", " ").replace(".", ", ")
 
 
 def name_of(claim: Claim) -> str:
-    """Return the same in one piece: "Lemma 4: weak"."""
+    """Return the name as one string: "Lemma 4: weak"."""
     return ": ".join(filter(None, names_of(claim)))
 
 
 def said(node: Node) -> str:
-    """Return a node's standing in one or a few words."""
+    """Return a node's standing in a few words."""
     return "machine-checked" if node.standing == "stands" and node.claim.formal else _WORDS[node.standing]
 
 
 def address(claim: Claim) -> str:
-    """Return where a claim is proved, or else shown, seen from ``book/``."""
+    """Return the address of a claim's proof, or else of its page, relative to ``book/``."""
     return seen_from_book(claim.proof or claim.page)
 
 
 def _lines(node: Node) -> list[str]:
-    """Return what stands below a node's name, in smaller letters."""
+    """Return the small text below a node's name."""
     return [*filter(None, [names_of(node.claim)[1]]), said(node)]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where everything stands.
+    """The positions of boxes and arrows.
 
     ``boxes``: left, top and width of each node. ``routes``: the points through which each arrow runs, top to bottom.
     """
@@ -78,16 +78,16 @@ class Layout:
 
 
 def layout(nodes: Sequence[Node]) -> Layout:
-    """Place nodes in layers, what is used above what uses it, with few crossings and short arrows.
+    """Place nodes in layers, used ones above users, with few crossings and short arrows.
 
-    Nodes without any arrow have no place. Long arrows pass through a place of their own in each layer between.
+    Nodes without arrows have no position. Long arrows have a position in each layer between.
     """
     pairs = arrows(nodes)
     joined = {id for pair in pairs for id in pair}
     nodes = [node for node in nodes if node.claim.id in joined]
     rank = {node.claim.id: node.layer for node in nodes}
     for node in nodes:
-        # What rests on nothing goes as near as it can to what uses it.
+        # A node that uses none goes as near as possible to its users.
         users = [rank[user] for used, user in pairs if used == node.claim.id]
         if not node.uses and users:
             rank[node.claim.id] = min(users) - 1
@@ -137,7 +137,7 @@ def crossings(layers: Sequence[Sequence[str]], links: Sequence[tuple[str, str]])
 
 
 def _untangled(layers: list[list[str]], links: Sequence[tuple[str, str]]) -> list[list[str]]:
-    """Order each layer by the mean places of what it is linked to, downwards and upwards in turn; keep the best."""
+    """Order each layer by the mean positions of its neighbours, downwards and upwards in turn; keep the best."""
     above: dict[str, list[str]] = {}
     below: dict[str, list[str]] = {}
     for one, other in links:
@@ -162,9 +162,9 @@ def _untangled(layers: list[list[str]], links: Sequence[tuple[str, str]]) -> lis
 def _spread(
     layers: Sequence[Sequence[str]], links: Sequence[tuple[str, str]], widths: dict[str, float]
 ) -> dict[str, float]:
-    """Return the centre of each entry: as near to the mean of its neighbours' as order and widths allow.
+    """Return the centre of each entry, as near to the mean of its neighbours as order and widths allow.
 
-    No layer is drawn wider than the widest has to be.
+    No layer is wider than the least width of the widest one.
     """
     room = max(sum(widths[id] + _GAP for id in layer) - _GAP for layer in layers)
     linked: dict[str, list[str]] = {id: [] for layer in layers for id in layer}
@@ -188,7 +188,7 @@ def _spread(
 
 
 def _apart(wanted: Sequence[float], widths: Sequence[float], room: float) -> list[float]:
-    """Return places between 0 and room, nearest to those wanted in the sum of squares, that keep order and distance."""
+    """Return positions in [0, room], nearest to the wanted ones in the sum of squares, that keep order and distance."""
     if not wanted:
         return []
     offset = [widths[0] / 2]
@@ -207,7 +207,7 @@ def _apart(wanted: Sequence[float], widths: Sequence[float], room: float) -> lis
 
 
 def picture(nodes: Sequence[Node]) -> str:
-    """Return the graph as SVG: a link for each node that has arrows, which lead from what is used to what uses it."""
+    """Return the graph as SVG: a link for each node with arrows, which point from used nodes to users."""
     plan = layout(nodes)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{plan.width:.0f}" height="{plan.height:.0f}" '
@@ -250,13 +250,13 @@ def _curve(points: Sequence[tuple[float, float]]) -> str:
 
 
 def legend() -> str:
-    """Return what the colours mean."""
+    """Return the legend of the colours."""
     entries = "".join(f'<li class="{standing}">{words}</li>' for standing, words in STANDINGS.items())
     return f'<ul class="chain-legend">{entries}</ul>'
 
 
 def as_table(nodes: Sequence[Node]) -> str:
-    """Return the graph as a table, one row for each node, without leaving out what follows from other rows."""
+    """Return the graph as a table, one row for each node, including pairs implied by other rows."""
     names = {node.claim.id: name_of(node.claim) for node in nodes}
     rows = []
     for node in nodes:
@@ -266,5 +266,5 @@ def as_table(nodes: Sequence[Node]) -> str:
             f"{html.escape(names[node.claim.id])}</a></td><td>{readable(node.claim.statement)}<br>"
             f'<span class="standing {node.standing}">{STANDINGS[node.standing]}</span><br>Uses: {uses}.</td></tr>'
         )
-    head = "<tr><th>result</th><th>what it says, how it stands, and what its proof uses</th></tr>"
+    head = "<tr><th>result</th><th>the statement, its standing, and the results that its proof uses</th></tr>"
     return f'<table class="dataframe stacked chain-table"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'

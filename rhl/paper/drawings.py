@@ -18,7 +18,7 @@ from rhl.trace import Trace
 
 
 def window_and_plan(trace: Trace, k: int) -> Figure:
-    """Draw what the scheme knows and plans at step k of a run: the window of the estimator, the plan that starts there.
+    """Draw the estimator's window and the plan at step k of a run.
 
     The first output and the first input of the run are drawn, with the plan of step k and, fainter, that of step k+1.
 
@@ -55,7 +55,7 @@ def window_and_plan(trace: Trace, k: int) -> Figure:
 
 
 def arm_positions(angles: Array, every: int = 3) -> Figure:
-    """Draw the link of an arm at every few steps, its angle measured from where it hangs down; later ones are darker.
+    """Draw the link of an arm at every few steps, its angle measured from the hanging position; later ones are darker.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def arm_positions(angles: Array, every: int = 3) -> Figure:
 
 
 def superposed(parts: Mapping[str, Plan], total: tuple[str, Plan]) -> Figure:
-    """Draw plans over their own steps, their sum as crosses, and the plan that the sum should be.
+    """Draw plans over their own steps, their sum as crosses, and the plan that the sum should equal.
 
     The first state and the first input are drawn.
     """

@@ -1,4 +1,4 @@
-"""What the page to explore shows beside the paper's simulations, as plain data: a pace, and plants of others."""
+"""Plain data for the page to explore, in addition to the simulations: convergence rates and benchmark plants."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.study.rivals import known_plant, pose
 
-# The pace: x+ = a x + u with a known model, Q small so that a short horizon does not hold the plant by its stage costs.
+# The rate: x+ = a x + u with a known model, and Q small so that the stage costs of a short horizon do not stabilise it.
 GROWTHS = (1.1, 1.2, 1.4, 1.8)
 HORIZONS = (1, 2, 3, 4, 6, 9)
 SCHEDULES = (PowerDecay(10, 0.5), PowerDecay(10, 1), PowerDecay(10, 2), PowerDecay(1000, 1))
@@ -38,8 +38,8 @@ def pace() -> dict[str, Any]:
 
     Keys: ``growths`` a, ``horizons`` N, ``schedules`` in words, ``k`` (not all of them), ``epsilon``, one list over k
     for each schedule; ``size``, |x(k)| by a, schedule and N; ``level``, by a and N: the terminal weight
-    :math:`\Gamma/\epsilon` at which the loop neither grows nor falls, so that |x(k)| tends to the root of level times
-    epsilon(k); None where the stage costs alone hold the plant.
+    :math:`\Gamma/\epsilon` at which |x| stays constant, so that |x(k)| tends to the root of level times epsilon(k);
+    None if the stage costs alone stabilise the plant.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def pace() -> dict[str, Any]:
 
 
 def level(growth: float, horizon: int) -> float | None:
-    """Return the terminal weight at which x+ = ax + u is planned to stay as large as it is, None if there is none.
+    """Return the terminal weight at which the plan keeps the size of x in x+ = ax + u, None if there is none.
 
     The first input leaves aR/(R + P) of x, where P is the weight of x(k+1) in the cost to go; that is one where
     P = R (a - 1). Each earlier stage of the Riccati recursion is then inverted.
@@ -97,16 +97,16 @@ def _in_words(schedule: PowerDecay) -> str:
 
 
 def plant_names() -> tuple[str, ...]:
-    """Return the benchmark plants of the page on plants that others chose, up to order ten."""
+    """Return the benchmark plants of the book's comparison page, up to order ten."""
     return names(_LARGEST)
 
 
 def plant(name: str) -> dict[str, Any]:
-    """Return runs on a benchmark plant: the largest output at every k, each output counted in its first size.
+    """Return runs on a benchmark plant: the largest output at every k, each output relative to its first size.
 
     Keys: ``title``, ``order``, ``radius`` (the spectral radius); ``known`` (the regulator that knows the plant),
     ``default`` and ``window`` (the schemes), each one list over k for each of ``NOISES``, the standard deviation of the
-    sensor's errors relative to the first outputs. A list ends where the run left the range of float64.
+    sensor's errors relative to the first outputs. A list ends when the run leaves the range of float64.
 
     Examples
     --------

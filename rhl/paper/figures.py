@@ -23,7 +23,7 @@ def against_published(ax: Axes, values: Array, name: str, label: str, colour: st
 
 
 def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure:
-    """Draw a run of one of the paper's examples on the published curves, and how far apart they are.
+    """Draw a run of one of the paper's examples with the published curves, and their difference.
 
     The run is of ``published.linear_example()`` ("linear") or ``published.robot_arm()`` ("robot").
 
@@ -57,10 +57,10 @@ def reproduction(trace: Trace, experiment: Literal["linear", "robot"]) -> Figure
 
 
 def opening(curves: Mapping[str, Array], steps: int = 25) -> str:
-    """Draw the first page's picture as HTML: the same plant left alone, with a known model, and under the scheme.
+    """Draw the first page's picture as HTML: a plant without control, with a known model, and under the scheme.
 
-    ``curves`` are those of ``watch.contrast()``, in metres; they are drawn in centimetres, for so many steps. The
-    figure is an inline SVG that is complete as it stands; the page's script lets it move, where motion is wanted.
+    ``curves`` are those of ``watch.contrast()``, in metres; they are drawn in centimetres, for ``steps`` steps. The
+    figure is a complete inline SVG; the page's script animates it, unless reduced motion is preferred.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def opening(curves: Mapping[str, Array], steps: int = 25) -> str:
         return np.asarray(bottom - (bottom - top) * (values - low) / (high - low))
 
     def path(name: str, values: Array) -> str:
-        # What is far outside of the picture need not be drawn where it is, only leave it in the right direction.
+        # Points far outside the picture only need to leave it in the right direction.
         inside = np.clip(100 * values[:steps], -1e3, 1e3)
         points = "L".join(f"{at:.2f} {level:.2f}" for at, level in zip(x, up(inside), strict=True))
         return f'<path class="{name.replace(" ", "-")}" d="M{points}"/>'

@@ -1,4 +1,4 @@
-"""What Coq says of the theorems in ``proofs/``, as ``make proofs`` has written it down."""
+"""Coq's results for the theorems in ``proofs/``, as recorded by ``make proofs``."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class Record:
     sources : dict
         The sha256 of each file that was checked, by its name.
     theorems : dict
-        What Coq says that a theorem rests on, by the theorem's file and name, such as "lemma_5.enough_weights".
+        The axioms of each theorem according to Coq, by the theorem's file and name, such as "lemma_5.enough_weights".
     rejected : tuple of dict
-        False statements that Coq was seen to reject: "file", "what" was changed, and the line where it "stops".
+        False statements that Coq rejected: "file", "what" was changed, and the line where it "stops".
     """
 
     coq: str
@@ -30,7 +30,7 @@ class Record:
 
 
 def record() -> Record:
-    """Return what is on record.
+    """Return the record.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def record() -> Record:
 
 
 def anchor(theorem: str) -> str:
-    """Return where a theorem stands on the page ``book/checked-by-machine.md``.
+    """Return the anchor of a theorem on the page ``book/checked-by-machine.md``.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Claims as the book lists them: an overview by result, one card for each claim, what is wrong and what is right."""
+"""Claims in the book: an overview by result, a card for each claim, and the findings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Listed = TypeVar("Listed")
 
-# What colour a status has, as a class of book/_static/book.css; the words carry the meaning too.
+# The class of a status in book/_static/book.css, for its colour; the words carry the meaning too.
 _COLOURS: dict[Status, str] = {
     "proved here": "stands",
     "machine-checked": "stands",
@@ -35,7 +35,7 @@ def badge(status: Status) -> str:
 
 
 def status_counts(judgements: Iterable[Judgement]) -> str:
-    """Return how often each status came out, as HTML."""
+    """Return the number of claims with each status, as HTML."""
     counts = Counter(judgement.status for judgement in judgements)
     return (
         '<p class="status-counts">'
@@ -47,7 +47,7 @@ def status_counts(judgements: Iterable[Judgement]) -> str:
 
 
 def title(page: str) -> str:
-    """Return the name of the result that a page of the sources is about.
+    """Return the name of the result on a page of the sources.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def title(page: str) -> str:
 
 
 def by_page(listed: Iterable[Listed], page: Callable[[Listed], str]) -> dict[str, list[Listed]]:
-    """Return claims or judgements by the page that treats them, in the order in which pages first occur."""
+    """Return claims or judgements by their page, in the order in which pages first occur."""
     groups: dict[str, list[Listed]] = {}
     for item in listed:
         groups.setdefault(page(item), []).append(item)
@@ -72,7 +72,7 @@ def section_id(page: str) -> str:
 
 
 def overview(judgements: Iterable[Judgement]) -> str:
-    """Return a table for the ledger: a row for each result, with how many of its claims have each status."""
+    """Return a table for the ledger: a row for each result, with the number of its claims with each status."""
     groups = by_page(judgements, lambda judgement: judgement.claim.page)
     counts = {page: Counter(judgement.status for judgement in group) for page, group in groups.items()}
     shown = [status for status in _COLOURS if any(count[status] for count in counts.values())]
@@ -88,7 +88,7 @@ def overview(judgements: Iterable[Judgement]) -> str:
 
 
 def cards(judgements: Iterable[Judgement]) -> str:
-    """Return judgements as cards for the ledger: statement and status, and the evidence in a part that opens.
+    """Return judgements as cards for the ledger: statement and status, and the evidence in a part that can be opened.
 
     Each card links to the claim's page, proof, code and test, from a page in ``book/``.
     """
@@ -131,13 +131,13 @@ def _card(judgement: Judgement) -> str:
 
 
 def seen_from_book(place: str) -> str:
-    """Return the address, seen from ``book/``, of a page of the sources such as "notebooks/05-lemma-1.ipynb#proof"."""
+    """Return the address, from ``book/``, of a page of the sources such as "notebooks/05-lemma-1.ipynb#proof"."""
     page, _, anchor = place.partition("#")
     return f"../{page.rpartition('.')[0]}.html" + (f"#{anchor}" if anchor else "")
 
 
 def findings_table(claims: Iterable[Claim]) -> str:
-    """Return what is wrong and what is right about claims as HTML for a page in ``book/``, grouped by their pages."""
+    """Return findings about claims as HTML for a page in ``book/``, grouped by their pages."""
     rows = []
     for page, group in by_page(claims, lambda claim: claim.page).items():
         rows.append(f'<tr class="group"><th colspan="2"><a href="{seen_from_book(page)}">{title(page)}</a></th></tr>')
@@ -147,5 +147,5 @@ def findings_table(claims: Iterable[Claim]) -> str:
             f'<a href="ledger.html#{claim.id}">{claim.id}</a></td></tr>'
             for claim in group
         ]
-    head = "<tr><th>where</th><th>what is said, and what is found</th></tr>"
+    head = "<tr><th>where</th><th>statement and finding</th></tr>"
     return f'<table class="dataframe stacked"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'

@@ -1,4 +1,4 @@
-"""What the book's pages share: numbers for the prose, tables of comparisons."""
+"""Functions shared by the book's pages: numbers for the prose, tables of comparisons."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 def tell(**values: float | int | str) -> None:
-    """Hand numbers, or short strings, to the prose of the page under their names; outside the book, print them.
+    """Pass numbers or short strings to the prose of the page under their names; outside the book, print them.
 
-    ``**values``: read in the text as ``{glue:text}`name:.2f```. InputError if a number is not finite: no page shall say
-    NaN.
+    ``**values``: read in the text as ``{glue:text}`name:.2f```. InputError if a number is not finite, so that no page
+    shows NaN.
     """
     in_book = "RHL_BOOK" in os.environ
     try:
-        from myst_nb import glue  # here, because only the book's extra installs it
+        from myst_nb import glue  # imported here, because only the book's extra installs it
     except ImportError:
         if in_book:
             raise
@@ -35,11 +35,11 @@ def tell(**values: float | int | str) -> None:
     for name, value in values.items():
         plain = value if isinstance(value, str) else value.item() if hasattr(value, "item") else value
         if not isinstance(plain, str) and not math.isfinite(plain):
-            raise InputError(f"{name} must be finite to be told in the text, got {plain}")
+            raise InputError(f"{name} must be finite to appear in the text, got {plain}")
         if glue is not None:
             glue(name, plain, display=False)
         if not in_book:
-            # Outside the book the prose shows the names only; so that a reader of the notebook finds the numbers.
+            # Outside the book the prose shows only names, so a reader of the notebook needs the numbers here.
             print(f"{name} = {plain}")
 
 
@@ -47,7 +47,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def scientific(value: float, digits: int = 2) -> str:
-    """Return a number as prose writes it, with so many significant digits.
+    """Return a number for prose, with the given number of significant digits.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def scientific(value: float, digits: int = 2) -> str:
 
 
 def grouped(digits: str, by: int = 5) -> str:
-    """Return a decimal number with a space after every few places, at which a line may break.
+    """Return a decimal number with a space after every few digits, at which a line may break.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def grouped(digits: str, by: int = 5) -> str:
 
 
 def polynomial_lines(coefficients: Sequence[int], symbol: str, each: int = 2) -> str:
-    r"""Return a polynomial as LaTeX with so many terms a line; the coefficients begin with the highest power.
+    r"""Return a polynomial as LaTeX with ``each`` terms per line; the coefficients begin with the highest power.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def comparison_table(rows: Iterable[Comparison]) -> Styler:
 
 
 def judgement_table(judgements: Iterable[Judgement]) -> Styler:
-    """Return judgements as a table for a page, one row each: what came out, and what the check is seen to reject."""
+    """Return judgements as a table for a page, one row each: the result, and a case that the check rejects."""
     return table(
         {
             "claim": judgement.claim.id,
@@ -140,7 +140,7 @@ def judgement_table(judgements: Iterable[Judgement]) -> Styler:
 
 def number(value: float) -> str:
     """Return a number with two digits for a page: 2·10⁻¹² and not 2e-12."""
-    # The zero that is added makes a plain zero of a negative one.
+    # Adding zero turns a negative zero into a plain one.
     digits, _, exponent = f"{value + 0.0:.2g}".partition("e")
     if not exponent:
         return digits.replace("-", "−")
@@ -159,7 +159,7 @@ _SIGNS = {"&lt;=": "≤", "&gt;=": "≥", "!=": "≠", "-&gt;": "→", "|-&gt;":
 
 
 def readable(text: str) -> str:
-    """Return the plain text of a claim as HTML in which formulas are set: Greek letters, indices, powers, numbers."""
+    """Return the plain text of a claim as HTML with typeset formulas: Greek letters, indices, powers, numbers."""
     text = html.escape(text, quote=False)
     for plain, sign in _SIGNS.items():
         text = text.replace(plain, sign)
@@ -172,12 +172,12 @@ def readable(text: str) -> str:
     text = re.sub(rf"(?<=[\w\u0303\u0304*])_({index})", lambda m: f"<sub>{_bare(m[1])}</sub>", text)
     power = r"(?:\([^()]*\)|\{[^{}]*\}|-?\w+|\+)"
     text = re.sub(rf"\^({power})", lambda m: f"<sup>{_bare(m[1])}</sup>", text)
-    # A transpose, not a quotation mark or the s of a genitive.
+    # A transpose, not a quotation mark or a possessive.
     return re.sub(r"(?<=[\w)>\]])'(?=[\w(\[)]|\s?[A-Z(\[])(?!s\b)", "ᵀ", text)
 
 
 def _bare(script: str) -> str:
-    """Return an index or a power without the brackets that held it together."""
+    """Return an index or a power without its brackets."""
     if script[0] + script[-1] in ("{}", "()"):
         script = script[1:-1]
     return script.replace("-", "−")

@@ -1,4 +1,4 @@
-"""Plants with settings, as fields of text, for the page on which a reader runs the scheme in the browser."""
+"""Plants with settings, as text fields, for the page on which a reader runs the scheme in the browser."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rhl.plants.benchmarks import benchmark
 from rhl.plants.linear import LinearPlant
 from rhl.scheme import Scheme, window_scheme
 
-# Benchmark plants of at most five states that differ in what makes them hard; with the last one the scheme fails.
+# Benchmark plants of at most five states with different difficulties; the scheme fails with the last one.
 _BENCHMARKS = (
     "double-integrator",
     "dc-motor",
@@ -35,7 +35,7 @@ _STEPS = 60
 
 @dataclass(frozen=True)
 class Preset:
-    """A plant that the page offers: its name, what it is, and the text of every field."""
+    """A plant that the page offers: its name, its description, and the text of every field."""
 
     name: str
     title: str

@@ -1,4 +1,4 @@
-"""The paper's figure data, the experiments that belong to them, and how closely the two agree."""
+"""The paper's figure data, the experiments behind them, and their comparison."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CURVES = {
 def curve(name: str) -> Array:
     """Return a published curve, one of ``CURVES``, sample by sample from k = 0, shape (samples,).
 
-    Source: the plotted tables in the paper's LaTeX source, digit for digit. Figure 3's (theta) is not in it.
+    Source: the plotted tables in the paper's LaTeX source, digit for digit. The source lacks figure 3's (theta).
 
     Examples
     --------
@@ -52,11 +52,11 @@ def curve(name: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A plant, its initial state z0, shape (n,), the scheme that runs on it, and for how many steps.
+    """A plant, its initial state z0, shape (n,), the scheme that runs on it, and the number of steps.
 
     An experiment of the paper has as many steps as its longest published curve has samples. ``sensor``, ``actuator``
-    and ``load`` are what errs between scheme and plant, see ``rhl.disturbances``, nothing in the paper's;
-    ``applied_known`` says whether the scheme remembers what the actuator let through.
+    and ``load`` are disturbances between scheme and plant, see ``rhl.disturbances``, none in the paper's;
+    ``applied_known`` says whether the scheme records the input after the actuator.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Experiment:
     load: Disturbances | None = None
 
     def run(self, progress: Callable[[Trace], None] | None = None) -> Trace:
-        """Simulate it; ``progress`` is called now and then with the trace so far."""
+        """Simulate it; ``progress`` is called from time to time with the trace so far."""
         return simulate(
             self.scheme,
             self.plant,
@@ -87,9 +87,9 @@ class Experiment:
 def linear_example(*, printed: bool = False) -> Experiment:
     """Return the linear example, equation (23), figures 2 to 6.
 
-    By default it has the settings behind the published curves, eps(k) = 1/(1+100k); ``printed`` takes 1/(1+1000k), as
-    the text prints. What the text leaves open (initial model, one step of delay between estimate and control) is the
-    same in both.
+    By default it has the settings behind the published curves, eps(k) = 1/(1+100k); ``printed`` uses the text's
+    1/(1+1000k). Settings that the text does not specify (initial model, one step of delay between estimate and control)
+    are the same in both.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def linear_example(*, printed: bool = False) -> Experiment:
 def robot_arm(*, printed: bool = False) -> Experiment:
     """Return the robot arm, equation (24), figures 7 to 9.
 
-    The coefficients are those that the published curves obey or, ``printed``, those in the text. The scheme is the
+    The coefficients are those of the published curves or, ``printed``, those in the text. The scheme is the
     same, with the constant mixing lambda = 0.5 that the text does not mention.
 
     Examples
@@ -149,10 +149,10 @@ def replay_published(*, printed: bool = False) -> Trace:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far one signal is from its published curve over some samples.
+    """The distance of one signal from its published curve over some samples.
 
     ``largest`` is the largest absolute difference, relative for Gamma/eps, and ``at`` the k where it is. ``tolerance``
-    is None where the difference is known, shown and unexplained.
+    is None if the difference is known and unexplained.
     """
 
     signal: str
@@ -169,9 +169,9 @@ class Comparison:
         return "within" if self.largest <= self.tolerance else "missed"
 
 
-# Published digits end at the 15th; the unstable pole and the estimator's transients enlarge what is missing.
+# Published numbers have 15 digits; the unstable pole and the estimator's transients enlarge their rounding.
 _FREE_RUN = 1e-9
-# Two digits above the three inputs of k = 12, 13, 14 that nobody has explained and what follows from them.
+# Two digits above the effect of the three unexplained inputs of k = 12, 13, 14.
 _AFTER_THE_UNEXPLAINED = 0.11
 _FED_BACK = 1e-10
 _RELATIVE = 1e-12
@@ -226,7 +226,7 @@ def compare_robot(trace: Trace) -> list[Comparison]:
 
 
 def check_length(trace: Trace, steps: int, n: int) -> None:
-    """Refuse a trace that is no run of so many steps with so many states."""
+    """Refuse a trace with another number of steps or states."""
     instance("trace", trace, Trace)
     if len(trace) != steps or trace.z.shape != (steps, n):
         raise InputError(f"trace must be a run of {steps} steps with {n} states, got {len(trace)} steps")
@@ -235,7 +235,7 @@ def check_length(trace: Trace, steps: int, n: int) -> None:
 def gamma_over_eps(*, printed: bool = False) -> Array:
     r"""Compute figure 6, shape (41,), from the published outputs and inputs.
 
-    The figure takes Gamma one input later than the controller does:
+    In the figure, Gamma uses the inputs one step later than in the controller:
     :math:`(|y(k)|^2 + \dots + |y(k-3)|^2 + |v(k)|^2 + |v(k-1)|^2 + |v(k-2)|^2) / \epsilon(k)`.
     ``printed``: take the text's eps rate, 1000, instead of the data's, 100.
 

@@ -1,4 +1,4 @@
-"""Sweeps of runs for the book's page to explore: what its sliders show, computed beforehand, as plain data."""
+"""Sweeps of runs for the book's page to explore: precomputed plain data for its sliders."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ Name = Literal["linear", "robot", "printed"]
 NAMES: tuple[Name, ...] = ("linear", "robot", "printed")
 
 _DIGITS = 6
-"""Significant digits of the numbers that are written: more than a pixel shows, fewer than a run has."""
+"""Significant digits of written numbers: more than a pixel shows, fewer than a run has."""
 
 
 @dataclass(frozen=True)
 class Setting:
     """Something that a slider changes: ``change`` maps (experiment, value) to the experiment with that value.
 
-    ``key`` is its name in the data, ``words`` say what it is, ``symbol`` is its sign in the paper. ``values`` are where
-    the slider can stop, in order; ``own``, the experiment's own value, is one of them, and ``note`` says what it is.
+    ``key`` is its name in the data, ``words`` its description, ``symbol`` its symbol in the paper. ``values`` are the
+    positions of the slider, in order; ``own``, the experiment's own value, is one of them, and ``note`` describes it.
     """
 
     key: str
@@ -52,7 +52,7 @@ class Setting:
 
 
 def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
-    """Return the settings in groups: those of one group are swept together, the others meanwhile keep their values.
+    """Return the settings in groups: those of one group are swept together, while the others keep their values.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
                 _rate(range(5), 100),
             ),
             (_noise((0.0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)), _bound((0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40, 80))),
-            # With as many transitions as there are steps nothing is forgotten.
+            # With as many transitions as steps, the window never drops data.
             (_window((*range(1, 17), 20, 24, 30, 42), 8),),
             (_mixing(0.0),),
             (_initial(2, "initial state", "z₃(0)", range(-20, 21, 2), -10),),
@@ -123,7 +123,7 @@ def signals(name: Name) -> tuple[dict[str, Any], ...]:
 
 
 def record(changed: Experiment) -> dict[str, Any]:
-    """Run an experiment and return its curves, each a list over k; a run that diverges ends there and says so.
+    """Run an experiment and return its curves, each a list over k; a run that diverges ends there.
 
     Keys: ``y1``, ..., ``v1``, ``weight``, ``margin_lifted``, ``margin_augmented``; and ``diverged``: None, or the k at
     which the run left the range of floating-point numbers.
@@ -161,7 +161,7 @@ def sweep(name: Name, group: tuple[Setting, ...]) -> Iterator[dict[str, Any]]:
 
 
 def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
-    """Return Lemma 4's spiral, K = ``steps``, for several rates at which its directions turn tangential.
+    """Return Lemma 4's spiral, K = ``steps``, for several rates at which its directions become tangential.
 
     Keys: ``k``, geometrically spaced and at most ``points`` of them, ``exponents`` e in delta_k = k^-e / 2, ``own``
     (the counterexample's exponent), and for each exponent ``norm`` and ``angle`` of the iterates at these k.
@@ -185,11 +185,11 @@ def spiral(steps: int = 1_000_000, points: int = 500) -> dict[str, Any]:
 
 
 def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
-    """Return the margin of Lemma 5's mixtures over lambda, for pairs with as many bad lambdas as there can be.
+    """Return the margin of Lemma 5's mixtures over lambda, for pairs with the largest number of bad lambdas.
 
-    Keys: ``orders``, the n of each pair; and for each: ``lam`` (equidistant, the bad ones, and some beside them),
-    ``margin``, ``bad`` (the places in ``lam`` of the roots, exact to float64), ``candidates`` (the paper's) with their
-    ``found`` margins, ``enough``, n(n+1)/2.
+    Keys: ``orders``, the n of each pair; and for each: ``lam`` (equidistant, the bad ones, and some next to them),
+    ``margin``, ``bad`` (the positions of the roots in ``lam``, exact to float64), ``candidates`` (the paper's) with
+    their ``found`` margins, ``enough``, n(n+1)/2.
 
     Examples
     --------
@@ -197,7 +197,7 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
     >>> len(data["bad"][0]), data["enough"]
     (3, [3])
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     orders = list(orders)
     columns: dict[str, list[Any]] = {"lam": [], "margin": [], "bad": [], "candidates": [], "found": []}
@@ -219,7 +219,7 @@ def mixtures(orders: Iterable[int] = (2, 3, 4, 5)) -> dict[str, Any]:
 def files() -> Iterator[tuple[str, str]]:
     """Yield the name, without its ending, and the JSON of every file that the page to explore loads.
 
-    A sweep of several settings is cut along the first of them, so that a page fetches what it shows and no more.
+    A sweep of several settings is split along the first of them, so that a page fetches only the runs that it shows.
     """
     for name in NAMES:
         example, groups = experiment(name), settings(name)
@@ -243,7 +243,7 @@ def files() -> Iterator[tuple[str, str]]:
 
 
 def peaks(runs: Iterable[Mapping[str, Any]]) -> list[float | None]:
-    """Return the largest size of the first output of each run; None where the run diverged.
+    """Return the largest size of the first output of each run; None if the run diverged.
 
     Examples
     --------
@@ -272,7 +272,7 @@ def _panel(
 
 
 def plain(values: Array) -> list[float | None]:
-    """Return numbers as JSON has them: rounded, and None for what is not finite."""
+    """Return numbers for JSON: rounded, and None for non-finite ones."""
     return [float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else None for value in values.tolist()]
 
 
@@ -357,7 +357,7 @@ def _with_controller(e: Experiment, **changes: Any) -> Experiment:
 
 
 def _with_radius(e: Experiment, value: float) -> Experiment:
-    """Put the value on the diagonal where the linear example's plant has its largest eigenvalue."""
+    """Replace the largest eigenvalue of the linear example's plant by the value."""
     assert isinstance(e.plant, LinearPlant)
     F = e.plant.F.copy()
     F[1, 1] = value  # F is triangular

@@ -1,4 +1,4 @@
-"""Runs step by step as plain data: what the scheme remembers, believes and plans at every k; and one run compared."""
+"""Runs step by step as plain data: the scheme's data, model and plan at every k; and a comparison of runs."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _INDEX = str.maketrans("-0123456789", "₋₀₁₂₃₄₅₆₇₈₉")
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """An experiment to be watched step by step, and what its signals are called.
+    """An experiment to be shown step by step, with the names of its signals.
 
-    ``title`` names it; ``outputs`` and ``inputs`` name each entry of y and v with its unit; ``start`` is the step that
-    is shown first, one at which the model is still being learned.
+    ``title`` names it; ``outputs`` and ``inputs`` name each entry of y and v with its unit; ``start`` is the first step
+    shown, at which the model is still being learned.
     """
 
     title: str
@@ -43,7 +43,7 @@ class Watched:
 def suspended_ball() -> Experiment:
     """Return a ball below an electromagnet, an unstable plant, under the default scheme.
 
-    The plant is the benchmark "maglev"; the scheme is given one output, one input, and the order of the plant.
+    The plant is the benchmark "maglev"; the scheme has one output, one input, and the order of the plant.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def watched(name: Name) -> Watched:
 
 
 def fitted(scheme: Scheme, k: int) -> tuple[int, int] | None:
-    """Return the first and the last output y(j) that the model of step k is fitted to; None where there is none yet.
+    """Return the first and the last output y(j) that the model of step k is fitted to; None if there is none yet.
 
     A transition from x(j-1) to x(j) belongs to the output y(j). Those from before k = 0 are zero and are left out.
 
@@ -90,12 +90,12 @@ def fitted(scheme: Scheme, k: int) -> tuple[int, int] | None:
 
 
 def steps(name: Name) -> dict[str, Any]:
-    """Return a watched run as plain data: lists over k, and for each k what was planned.
+    """Return a watched run as plain data: lists over k, and for each k the plan.
 
     Keys: ``title``, ``outputs``, ``inputs``, ``start``; ``y``, ``predicted``, ``v``, one list for each signal;
     ``weight``; ``fitted``, see there; ``of_outputs`` and ``of_inputs``, the entries of the model's first rows, those
     that predict y(k+1), each with its ``name`` and its ``values`` over k; ``planned_y`` and ``planned_v``, for each k
-    one list for each signal over the N steps ahead; ``lag``, by how many steps the model that plans is older.
+    one list for each signal over the N steps ahead; ``lag``, the delay of the model used for the plan, in steps.
 
     Examples
     --------

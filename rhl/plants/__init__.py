@@ -1,4 +1,4 @@
-"""Plants: what the scheme controls without knowing it."""
+"""Plants: the systems that the scheme controls without a model of them."""
 
 from rhl.plants.base import Plant
 from rhl.plants.functions import FunctionPlant

@@ -1,4 +1,4 @@
-"""The record of a benchmark plant, and what follows from its matrices."""
+"""The record of a benchmark plant, and properties that follow from its matrices."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ class Benchmark:
     ----------
     name : str
     family : str
-        What kind of plant it is; "" where nothing is known.
+        The kind of plant; "" if unknown.
     A, B, C : array, shapes (n, n), (n, q), (p, n)
     h : float
-        Sampling time that suits the plant, in ``time_unit``.
+        A suitable sampling time, in ``time_unit``.
     title : str
         One line.
     origin : str
-        Where the numbers come from.
+        The source of the numbers.
     states, inputs, outputs : tuple of str
-        Name and unit of each entry of x, u and y; empty where the source gives none.
+        Name and unit of each entry of x, u and y; empty if the source gives none.
     time_unit : str
-        "s", "min", or "" where the source counts time without a unit.
+        "s", "min", or "" if the source gives time no unit.
     discrete : bool
         Whether A, B and C are those of :math:`x(k+1) = A x(k) + B u(k)`, sampled every ``h``.
     start : array, shape (n,), optional
-        An initial state within the range where the model means something, chosen here unless ``origin`` says otherwise.
+        An initial state within the range of validity of the model, chosen here unless ``origin`` says otherwise.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Benchmark:
 
     @property
     def z0(self) -> Array:
-        """An initial state, shape (n,): ``start``, or a state of length one, all of whose entries are equal."""
+        """An initial state, shape (n,): ``start``, or a state of norm one with equal entries."""
         n = len(self.A)
         return np.full(n, n**-0.5) if self.start is None else self.start
 
@@ -73,22 +73,22 @@ class Benchmark:
 
     @property
     def stabilizable(self) -> bool:
-        """Whether the inputs reach every mode of the sampled plant that does not decay, as Assumption 1 wants."""
+        """Whether the inputs reach every mode of the sampled plant that does not decay, as Assumption 1 requires."""
         plant = self.sampled()
-        # The test compares margins with the plant's size; a unit of the inputs must not decide it.
+        # The test compares margins with the plant's size, and must not depend on the unit of the inputs.
         return stabilizability(plant.F, plant.G / np.max(np.abs(plant.G))).holds
 
     @property
     def detectable(self) -> bool:
-        """Whether the outputs see every mode of the sampled plant that does not decay, as Assumption 1 wants."""
+        """Whether every mode of the sampled plant that does not decay is observable, as Assumption 1 requires."""
         plant = self.sampled()
         return detectability(plant.F, plant.H / np.max(np.abs(plant.H))).holds
 
     def sampled(self, h: float | None = None) -> LinearPlant:
-        """Return the plant sampled every h (by default its own) with its inputs held in between (zero-order hold).
+        """Return the plant sampled every h, by default ``self.h``, with inputs held in between (zero-order hold).
 
-        InputError if h is not positive, so long that the plant leaves the range of floating-point numbers within it, or
-        another than that of a plant which is published in discrete time.
+        InputError if h is not positive, if the plant leaves the range of floating-point numbers within it, or if it is
+        not that of a plant published in discrete time.
         """
         h = self.h if h is None else positive("h", h)
         if self.discrete:
@@ -97,7 +97,7 @@ class Benchmark:
                     f"h must be {self.h:g} for {self.name}, which is in discrete time, got {h:g}; leave it out"
                 )
             return LinearPlant(self.A, self.B, self.C)
-        from scipy.linalg import expm  # here, because names are listed without it
+        from scipy.linalg import expm  # imported here, because names are listed without it
 
         n, q = self.B.shape
         whole = np.zeros((n + q, n + q))
@@ -109,6 +109,6 @@ class Benchmark:
         return LinearPlant(found[:n, :n], found[:n, n:], self.C)
 
     def order(self, h: float | None = None) -> int:
-        """Return the observability index of the sampled plant, the least ``order`` that a scheme may be told."""
+        """Return the observability index of the sampled plant, the least ``order`` of a scheme for it."""
         plant = self.sampled(h)
         return observability_index(plant.F, plant.H)

@@ -1,4 +1,4 @@
-"""Plants of textbooks and papers, each with its source; constants stand where matrices follow from them."""
+"""Plants of textbooks and papers, each with its source; constants are listed if matrices follow from them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _buck_converter() -> Benchmark:
 def _cstr() -> Benchmark:
     flow, volume, feed, temperature, concentration = 100.0, 100.0, 1.0, 350.0, 0.5
     density, heat_capacity, heat_of_reaction, activation, transfer = 1000.0, 0.239, 5e4, 8750.0, 5e4
-    # At rest the reaction takes what the flow brings; the published 7.2e10 exp(-8750/350) agrees to four digits.
+    # At rest the reaction consumes the inflow; the published 7.2e10 exp(-8750/350) agrees to four digits.
     rate = flow / volume * (feed - concentration) / concentration
     slope = rate * concentration * activation / temperature**2
     heat, cooling = heat_of_reaction / (density * heat_capacity), transfer / (volume * density * heat_capacity)
@@ -319,7 +319,7 @@ def _vehicle_lateral() -> Benchmark:
         B,
         np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]),
         h=0.05,
-        title="a car beside its lane at 30 m/s (bicycle model)",
+        title="a car off its lane at 30 m/s (bicycle model)",
         origin="R. Rajamani, Vehicle Dynamics and Control, 2nd edition, Springer, 2012, section 2.5 (model in terms of "
         "the error with respect to the road), with the passenger car of its examples (m = 1573 kg, Iz = 2873 kg m^2, "
         "1.1 m, 1.58 m, 80000 N/rad)",

@@ -1,4 +1,4 @@
-"""State-space matrices from transfer functions, and the part of a system that its outputs see."""
+"""State-space matrices from transfer functions, and the observable part of a system."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from rhl._checks import Array, real_array, square
 from rhl.errors import InputError
 
-# What is new in a row of the observability matrix counts as nothing below this share of |F| (or of the rows of H, each
-# scaled to length one): rounding of a few dozen states stays below 1e-13, and a mode seen this weakly is lost in the
-# noise of any measurement.
+# The new part of a row of the observability matrix counts as zero below this share of |F| (or of the rows of H, each
+# scaled to norm one). Rounding with a few dozen states stays below 1e-13, and measurement noise hides such a weakly
+# observable mode.
 _SEEN_RTOL = 1e-10
 
 
 def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
-    r"""Find what the outputs see of the state, :math:`\mathrm{im}\,[H' \; F'H' \; F'^2H' \; \dots]`.
+    r"""Find the observable part of the state, :math:`\mathrm{im}\,[H' \; F'H' \; F'^2H' \; \dots]`.
 
     InputError if the shapes of F, (n, n), and H, (p, n), do not fit or an entry is not finite.
 
@@ -31,21 +31,21 @@ def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
 
     Notes
     -----
-    The staircase algorithm: block after block is made orthogonal to those before it and cut to its rank. Powers of F
-    are never formed, so that unstable and stiff plants are judged as surely as others.
+    The staircase algorithm: each block is made orthogonal to those before it and reduced to its rank. Powers of F are
+    never formed, so unstable and stiff plants are treated as reliably as others.
     """
     F = real_array("F", F, (None, None))
     H = real_array("H", H, (None, square("F", F).shape[-1]))
     if F.ndim > 2 or H.ndim > 2:
         raise InputError(f"F and H must be single matrices, got shapes {F.shape} and {H.shape}; take one of the batch")
-    # Outputs may be in any units: a row counts for its direction. Its square may leave the range of float64.
+    # Outputs may be in any units, so only a row's direction matters. Its square may leave the range of float64.
     largest = np.max(np.abs(H), axis=1, keepdims=True)
     H = H / np.where(largest > 0, largest, 1.0)
     lengths = np.linalg.norm(H, axis=1, keepdims=True)
     block = (H / np.where(lengths > 0, lengths, 1.0)).T
     size, basis, index = 1.0, np.zeros((len(F), 0)), 0
     while True:
-        for _ in range(2):  # once more, for what rounding leaves of the columns before
+        for _ in range(2):  # twice, since rounding leaves a component along the previous columns
             block = block - basis @ (basis.T @ block)
         U, sigma, _ = np.linalg.svd(block, full_matrices=False)
         new = U[:, sigma > _SEEN_RTOL * size]
@@ -59,20 +59,20 @@ def observable_basis(F: ArrayLike, H: ArrayLike) -> tuple[Array, int]:
 
 def held(F: Array, G: Array, seconds: float) -> tuple[Array, Array]:
     r"""Sample dz/dt = F z + G v with v held constant between samples: :math:`e^{Ft}` and its integral times G."""
-    from scipy.linalg import expm  # here, because most plants do without
+    from scipy.linalg import expm  # imported here, because most plants do not need it
 
     n, q = G.shape
     with np.errstate(over="ignore", invalid="ignore"):
         both = expm(seconds * np.block([[F, G], [np.zeros((q, n + q))]])) if n else np.eye(q)
     if not np.all(np.isfinite(both)):
         raise InputError(
-            f"sampling must be short enough that a sample later the state is in the range of float64, got {seconds:g}"
+            f"sampling must be short enough to keep the state in the range of float64 over one sample, got {seconds:g}"
         )
     return both[:n, :n], both[:n, n:]
 
 
 def realise(system: Any) -> tuple[Array, Array, Array]:
-    """Return F, G, H of a transfer function, controllable by construction and cut to what y sees."""
+    """Return F, G, H of a transfer function, controllable by construction and reduced to its observable part."""
     p, q = system.noutputs, system.ninputs
     columns = []
     for j in range(q):
@@ -85,7 +85,7 @@ def realise(system: Any) -> tuple[Array, Array, Array]:
                 missing = len(num) - len(den) + 1
                 slower = f"delay it by multiplying that channel with control.tf([1], {[1] + [0] * missing}, system.dt)"
                 if not system.isdtime(strict=True):
-                    slower = f"model the lag of a sensor or an actuator: {missing} more of that channel's poles"
+                    slower = f"model the lag of a sensor or an actuator: {missing} more poles in that channel"
                 raise InputError(
                     f"system must be strictly proper (y = H z, equation (1)), got degree {len(num) - 1} over "
                     f"{len(den) - 1} from input {j} to output {i}; {slower}"
@@ -106,8 +106,8 @@ def realise(system: Any) -> tuple[Array, Array, Array]:
         at += len(Fj)
     if not (np.all(np.isfinite(F)) and np.all(np.isfinite(H))):
         raise InputError(
-            "system must have coefficients in the range of floating-point numbers once divided by the denominator's "
-            "first, got some beyond it; scale its input, its output or time"
+            "system must have coefficients in the range of floating-point numbers after division by the denominator's "
+            "first one, got larger ones; scale its input, its output or time"
         )
     V, _ = observable_basis(F, H)
     return (F, G, H) if V.shape[1] == n else (V.T @ F @ V, V.T @ G, H @ V)

@@ -1,4 +1,4 @@
-"""Facts about a known plant: its linearisation, the modes that inputs reach and outputs see, its signal model (55)."""
+"""Analysis of a known plant: linearisation, stabilizability, detectability, signal model (55)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rhl.plants._realisation import observable_basis
 from rhl.plants.base import Plant, check_plant
 from rhl.plants.linear import LinearPlant
 
-# The step of central differences: truncation goes with its square, rounding with its inverse, and at the cube root of
-# the machine precision both are near 4e-11 of the plant's size where its third derivatives are of that size too.
+# The step of central differences: the truncation error is proportional to its square, rounding to its inverse. At the
+# cube root of the machine precision both are near 4e-11 of the plant's size, for third derivatives of that size.
 _STEP = float(np.finfo(np.float64).eps ** (1 / 3))
 # How far an equilibrium may move in one step, relative to its own size and one: callers find theirs by iterating.
 _REST_RTOL = 1e-6
-# A triple eigenvalue on the unit circle scatters by the cube root of the machine precision, 6e-6.
+# The computed values of a triple eigenvalue on the unit circle scatter by the cube root of the machine precision, 6e-6.
 _CIRCLE_TOL = 1e-5
 # A double eigenvalue is computed to about 1.5e-8 only, and the singular value of a rank defect there is as large.
 _DEFECT_RTOL = 1e-7
@@ -28,18 +28,18 @@ _DEFECT_RTOL = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Modes:
-    r"""The modes of a plant that do not decay by themselves, and how well the inputs reach (or the outputs see) each.
+    r"""The modes of a plant that do not decay, and how well the inputs reach (or the outputs observe) each of them.
 
     Source: the test of Popov, Belevitch and Hautus.
 
     Attributes
     ----------
     eigenvalues : array of complex, shape (r,)
-        Those of F with :math:`|\lambda| \ge 1`, up to a tolerance of 1e-5 that counts a scattered triple eigenvalue in.
+        Those of F with :math:`|\lambda| \ge 1`, up to a tolerance of 1e-5 for a scattered triple eigenvalue.
     margins : array, shape (r,)
         The smallest singular value of :math:`[\lambda I - F,\; G]`, or of :math:`[\lambda I - F;\; H]`, at each.
     scale : float
-        The norm of [F, G] or [F; H], against which the margins are judged.
+        The norm of [F, G] or [F; H], to which the margins are compared.
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -48,12 +48,12 @@ class Modes:
 
     @property
     def holds(self) -> bool:
-        """Whether every margin is above 1e-7 of the scale; true where every mode decays."""
+        """Whether every margin is above 1e-7 of the scale; true if every mode decays."""
         return bool(np.all(self.margins > _DEFECT_RTOL * self.scale))
 
     @property
     def worst(self) -> tuple[complex, float] | None:
-        """The eigenvalue with the smallest margin, and that margin; None where every mode decays."""
+        """The eigenvalue with the smallest margin, and that margin; None if every mode decays."""
         if len(self.margins) == 0:
             return None
         at = int(np.argmin(self.margins))
@@ -63,7 +63,7 @@ class Modes:
 def stabilizability(F: ArrayLike, G: ArrayLike) -> Modes:
     r"""Test whether inputs reach every mode that does not decay: the rank of :math:`[\lambda I - F,\; G]`.
 
-    ``holds`` of the result says whether (F, G), shapes (n, n) and (n, q), is stabilizable, as Assumption 1 wants.
+    ``holds`` of the result says whether (F, G), shapes (n, n) and (n, q), is stabilizable, as Assumption 1 requires.
     InputError if the shapes do not fit or an entry is not finite.
 
     Examples
@@ -78,9 +78,9 @@ def stabilizability(F: ArrayLike, G: ArrayLike) -> Modes:
 
 
 def detectability(F: ArrayLike, H: ArrayLike) -> Modes:
-    r"""Test whether outputs see every mode that does not decay: the rank of :math:`[\lambda I - F;\; H]`.
+    r"""Test whether every mode that does not decay is observable: the rank of :math:`[\lambda I - F;\; H]`.
 
-    ``holds`` of the result says whether (F, H), shapes (n, n) and (p, n), is detectable, as Assumption 1 wants.
+    ``holds`` of the result says whether (F, H), shapes (n, n) and (p, n), is detectable, as Assumption 1 requires.
     InputError if the shapes do not fit or an entry is not finite.
     """
     F = _single("F", square("F", F))
@@ -109,7 +109,7 @@ def pbh(A: Array, B: Array, least_modulus: float = 0.0) -> float:
     """Return the smallest singular value of [lambda I - A, B] over the eigenvalues with |lambda| >= least_modulus.
 
     Positive with ``least_modulus`` 0: (A, B) is controllable; with 1: stabilizable (Popov, Belevitch, Hautus). Infinite
-    where no eigenvalue is so large.
+    if no eigenvalue is so large.
     """
     values = [value for value in np.linalg.eigvals(A) if abs(value) >= least_modulus]
     return min((float(np.linalg.svd(_hautus(A, B, value), compute_uv=False)[-1]) for value in values), default=np.inf)
@@ -133,16 +133,16 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
     Parameters
     ----------
     plant : Plant
-        Any plant; a linear one is returned as it is.
+        Any plant; a linear one is returned unchanged.
     z, v : array_like, shapes (n,) and (q,), optional
-        State at rest, and input that keeps it there; zero where omitted.
+        State at rest, and the input that keeps it there; zero by default.
 
     Returns
     -------
     LinearPlant
-        Of the deviations from z, v and the output there. Accurate to about 1e-10 of the derivatives' size for plants
-        whose third derivatives are no larger than that, which 1e-7 bounds with room to spare; exact but for rounding
-        where the plant is linear or quadratic.
+        The plant of deviations from z, v and the output there. Its relative error is about 1e-10 for plants whose third
+        derivatives are no larger than the first ones, with 1e-7 as a safe bound. It is exact up to rounding if the
+        plant is linear or quadratic.
     """
     check_plant(plant)
     at_z = np.zeros(plant.n) if z is None else _vector("z", z, plant.n)
@@ -153,7 +153,7 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
         name = "z = 0 with v = 0" if z is None and v is None else "z with v"
         if moved > _REST_RTOL * (1 + float(np.max(np.abs(at_z)))):
             raise InputError(
-                f"{name} must be an equilibrium, where a step leaves z as it is, got a step that moves z by "
+                f"{name} must be an equilibrium, where a step leaves z unchanged, got a step that moves z by "
                 f"{moved:.3g}; solve step(z, v) = z for one first"
             )
     if isinstance(plant, LinearPlant):
@@ -172,7 +172,7 @@ def linearise(plant: Plant, z: ArrayLike | None = None, v: ArrayLike | None = No
                     out = plant.step(shifted, at_v) if name == "F" else plant.step(at_z, shifted)
                 ends.append((shifted[i], real_array(f"the plant's {function} near the equilibrium", out, (size,))))
             (above, high), (below, low) = ends
-            # The distance as rounded, not as meant.
+            # The rounded distance, not the intended one.
             columns.append((high - low) / (above - below))
         return np.stack(columns, axis=-1)
 
@@ -205,15 +205,15 @@ def observability_index(F: ArrayLike, H: ArrayLike) -> int:
 
 
 def observable_part(plant: LinearPlant) -> LinearPlant:
-    """Return the subsystem (53) of a single plant that alone makes the outputs.
+    """Return the subsystem (53) of a single plant, which determines the outputs.
 
-    It is in coordinates z_o = V'z with V orthonormal from an orthogonal staircase: from V'z(0) it gives the outputs
-    that the plant gives from z(0). InputError if H is zero, so that nothing is seen, or the plant is a batch.
+    It is in coordinates z_o = V'z with V orthonormal from an orthogonal staircase: its outputs from V'z(0) are those of
+    the plant from z(0). InputError if H is zero or the plant is a batch.
     """
     instance("plant", plant, LinearPlant)
     V, _ = observable_basis(plant.F, plant.H)
     if V.shape[1] == 0:
-        raise InputError("the plant's H must not be zero, got outputs that see nothing; choose outputs that do")
+        raise InputError("the plant's H must not be zero, got outputs that are always zero; choose other outputs")
     return LinearPlant(V.T @ plant.F @ V, V.T @ _single("G", plant.G), plant.H @ V)
 
 
@@ -246,10 +246,10 @@ def signal_model(F: Array, G: Array, H: Array, m: int) -> SignalModel:
 
 
 def growth_alone(plant: LinearPlant, z0: ArrayLike, steps: int) -> Array:
-    r"""Return how far outputs grow without inputs, :math:`\max_{k \le steps} |H F^k z_0| / |H z_0|`, shape (...).
+    r"""Return the growth of outputs without inputs, :math:`\max_{k \le steps} |H F^k z_0| / |H z_0|`, shape (...).
 
-    Sizes are those of the largest entry. Infinite where a number leaves the range of float64; one where y(0) is zero
-    and stays so. z0 has shape (..., n), and leading axes broadcast with those of the plant.
+    Sizes are those of the largest entry. Infinite if a number leaves the range of float64; one if y is zero
+    throughout. z0 has shape (..., n), and leading axes broadcast with those of the plant.
 
     Examples
     --------
@@ -282,21 +282,20 @@ def rough_model(plant: LinearPlant, outputs: int, inputs: int) -> SignalModel:
     Parameters
     ----------
     plant : LinearPlant
-        What is believed of the plant; what its outputs do not see is left out. ``linearise`` makes one of a nonlinear
-        plant.
+        The rough model; its unobservable part is left out. ``linearise`` makes one from a nonlinear plant.
     outputs, inputs : int
         :math:`\bar N_y` and :math:`\bar N_v`, both at least the plant's observability index m.
 
     Returns
     -------
     SignalModel
-        Of sizes N_y p and N_v q. With N = min(N_y, N_v) its first N blocks are the pair (55) of length N; outputs
-        further back only move along, inputs further back have no effect.
+        Of sizes N_y p and N_v q. With N = min(N_y, N_v) its first N blocks are the pair (55) of length N; earlier
+        outputs are only shifted, earlier inputs have no effect.
 
     Notes
     -----
-    Source: equation (55) and Lemma 6, of the observable part (53). Where outputs are stacked beyond the index, A is not
-    the only matrix that fits; this is the one of least norm among those the proof's pseudo-inverse offers.
+    Source: equation (55) and Lemma 6, of the observable part (53). If more outputs than the index are stacked, A is
+    not unique; this is the one of least norm that the proof's pseudo-inverse gives.
     """
     outputs, inputs = integer("outputs", outputs, 1), integer("inputs", inputs, 1)
     if not isinstance(cast(object, plant), LinearPlant):

@@ -1,4 +1,4 @@
-"""What a plant is: a protocol, and the checks that every plant shares."""
+"""The protocol of a plant, and the checks that every plant shares."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Plant(Protocol):
 
 
 def check_lengths(**vectors: tuple[ArrayLike, int]) -> list[Array]:
-    """Return finite vectors as arrays; refuse those whose last axis has another length than the one beside them."""
+    """Return finite vectors as arrays; refuse those whose last axis does not have the given length."""
     arrays = []
     for name, (vector, length) in vectors.items():
         array = real_array(name, vector)
@@ -44,6 +44,6 @@ def check_lengths(**vectors: tuple[ArrayLike, int]) -> list[Array]:
 
 
 def check_plant(value: Any) -> None:
-    """Refuse what is no plant."""
+    """Refuse a value that is not a plant."""
     kind = "a plant (LinearPlant, FunctionPlant, or your own class with n, q, p, step and output)"
     members("plant", value, kind, "n", "q", "p", "step", "output")

@@ -1,4 +1,4 @@
-"""Benchmark plants that others chose, by name: the COMPleib collection's up to order 30, and some of textbooks."""
+"""Published benchmark plants by name: those of the COMPleib collection up to order 30, and some of textbooks."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _FAMILIES = {
     "je": "jet engine",
     "rea": "chemical reactor",
 }
-# B is that of the control input and C that of the measured output. The entries were not checked against the report,
-# whose units the data do not have. Outputs of je2 whose row of C is zero measure nothing.
+# B belongs to the control input and C to the measured output. The entries were not checked against the report, since
+# the data lack its units. Outputs of je2 with a zero row of C are always zero.
 _COMPLEIB = (
     "F. Leibfritz, COMPleib: Constraint matrix-optimization problem library, University of Trier, 2004, as packaged by "
     "controlgym 1.0.0 (MIT)"

@@ -1,4 +1,4 @@
-"""Example plants beside the paper's own, each with its published source, units and a moderate initial state."""
+"""Example plants in addition to the paper's, each with its published source, units and a moderate initial state."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Valves = Literal["minimum-phase", "nonminimum-phase"]
 
 @dataclass(frozen=True, eq=False)
 class ExamplePlant:
-    """A plant together with what one needs to run and to label it.
+    """A plant with an initial state and the labels of its signals.
 
     Attributes
     ----------
     z0 : array, shape (n,)
-        An initial state away from rest, within the range where the model means something.
+        An initial state away from rest, within the range of validity of the model.
     what : str
         One line.
     states, inputs, outputs : tuple of str
@@ -78,7 +78,7 @@ class CartPendulum:
 
     Source: Control Tutorials for MATLAB and Simulink, "Inverted Pendulum: System Modeling" (ctms.engin.umich.edu),
     equations and all parameters but h; there theta = pi + phi. The linearisation quoted there has the poles 0, -0.1428,
-    5.5651 and -5.6041 1/s. The sampling time is ours: the fall grows by a factor of 1.32 in it.
+    5.5651 and -5.6041 1/s. The sampling time is ours; the unstable mode grows by a factor of 1.32 over it.
     """
 
     cart_mass: float = 0.5
@@ -184,8 +184,8 @@ def quadruple_tank(valves: Valves = "minimum-phase", h: float = 5.0) -> LinearPl
     Parameters
     ----------
     valves : {"minimum-phase", "nonminimum-phase"}
-        How the valves split the pumps' flows. Where more goes to the upper tanks than to the lower ones
-        (gamma_1 + gamma_2 < 1), a zero lies in the right half plane.
+        How the valves split the pumps' flows. If more flows to the upper tanks than to the lower ones
+        (gamma_1 + gamma_2 < 1), there is a zero in the right half plane.
     h : float
         Sampling time, s, positive.
 
@@ -205,7 +205,7 @@ def held_pump(h: float = 5.0) -> LinearPlant:
     """Return the right half of the quadruple tank with pump 1 held: a stable slow mode that the input cannot reach.
 
     Pump 1 runs at a constant voltage and so feeds tank 4 a constant flow; pump 2, the input, reaches tank 2 but not
-    tank 4, whose level comes to rest at its own pace, and drains into tank 2, where it is seen.
+    tank 4, whose level converges at its own rate and drains into tank 2, where it is measured.
 
     State z: deviations of the levels of tanks 2 and 4 (cm). Input v: deviation of the voltage of pump 2 (V). Output y:
     deviation of the voltage of the sensor in tank 2 (V). Modes exp(-h/T_2) and exp(-h/T_4), T_2 = 91 s and T_4 = 56 s,
@@ -225,8 +225,8 @@ def flexible_shaft(h: float = 0.1) -> LinearPlant:
         J_M \dot\omega_M &= k_T (v - k_T \omega_M)/R - \beta_M \omega_M + (k_\theta/\rho)(\theta_L - \theta_M/\rho)
 
     State z: angle (rad) and angular velocity (rad/s) of the load, then of the motor. Input v: armature voltage (V).
-    Output y: angle of the load (rad). The sampling time h (s) is positive. The torsion of the shaft rings at 7.3 rad/s
-    with a damping ratio of 0.096, and the angle integrates.
+    Output y: angle of the load (rad). The sampling time h (s) is positive. The torsion of the shaft oscillates at 7.3
+    rad/s with a damping ratio of 0.096, and the angle integrates.
 
     Source: A. Bemporad and E. Mosca, "Fulfilling hard constraints in uncertain linear systems by reference managing",
     Automatica 34(4), 1998, pages 451 to 461; all parameters and the sampling time as in the Model Predictive Control
@@ -256,7 +256,7 @@ def reversing_vehicle(h: float = 0.1) -> LinearPlant:
     State z: lateral deviation (m) of the reference point, a = 1.5 m ahead of the rear axle, and heading (rad);
     wheelbase b = 3 m. Input v: steering angle (rad). Output y: the lateral deviation (m). The sampling time h (s) is
     positive. From v to y the transfer function is (a s p + s^2)/(b p^2) in the Laplace variable p: a double integrator
-    with a zero at -s/a, in the right half plane when reversing, so that the car first moves the wrong way.
+    with a zero at -s/a, in the right half plane when reversing, so the car first moves in the opposite direction.
 
     Source: K. J. Astrom and R. M. Murray, Feedback Systems, 2nd edition, 2021, the running example of vehicle steering;
     a, b and s as in its companion notebook of python-control's examples ("Vehicle steering", example 10.11).
@@ -269,7 +269,7 @@ def reversing_vehicle(h: float = 0.1) -> LinearPlant:
 
 def _sampled(A: Array, B: Array, C: Array, h: float) -> LinearPlant:
     """Sample dz/dt = A z + B v, y = C z with v constant over each interval of length h: exact."""
-    from scipy.linalg import expm  # here, because it takes a while to load
+    from scipy.linalg import expm  # imported here, because loading it takes long
 
     h = positive("h", h)
     n, q = B.shape
@@ -310,7 +310,7 @@ def _quadruple_tank(valves: Valves) -> ExamplePlant:
 def _flexible_shaft() -> ExamplePlant:
     return ExamplePlant(
         flexible_shaft(),
-        np.array([1.0, 0.0, 20.0, 0.0]),  # turned by one radian, with no torsion at a gear ratio of 20
+        np.array([1.0, 0.0, 20.0, 0.0]),  # rotated by one radian, without torsion at a gear ratio of 20
         "DC motor with a flexible shaft: an integrator and a lightly damped pair",
         ("load angle (rad)", "load velocity (rad/s)", "motor angle (rad)", "motor velocity (rad/s)"),
         ("armature voltage (V)",),
@@ -335,7 +335,7 @@ def _slow_mode() -> ExamplePlant:
     return ExamplePlant(
         held_pump(),
         np.array([2.0, 2.0]),
-        "two water tanks, one of them out of the pump's reach: a stable mode that is not controllable",
+        "two water tanks, one of them not fed by the pump: a stable mode that is not controllable",
         ("level 2 (cm)", "level 4 (cm)"),
         ("pump 2 (V)",),
         ("sensor 2 (V)",),

@@ -1,4 +1,4 @@
-"""Plants from two functions of the caller's own."""
+"""Plants from two of your own functions."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from rhl.plants.base import check_lengths
 
 @dataclass(frozen=True, eq=False)
 class FunctionPlant:
-    r"""A plant of the caller's own, :math:`z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))`, from two plain functions.
+    r"""Your own plant, :math:`z(k+1) = f(z(k), v(k)),\; y(k) = g(z(k))`, from two plain functions.
 
-    The functions see one state at a time, whatever batch the plant is given, and read-only arrays: they must return new
-    ones. The scheme brings the outputs to zero; so put the wanted equilibrium there. The size p of the output is found
-    by asking for g(0).
+    The functions get one state at a time, also for a batch, as read-only arrays, and must return new ones. The scheme
+    brings the outputs to zero, so put the wanted equilibrium there. The size p of the output is that of g(0).
 
     PlantError if a function does not return finite real numbers of the right shape at z = 0, v = 0; see :meth:`step`
-    for later on. What a function itself raises is let through, with a note where it was called. InputError if
-    one cannot be called.
+    for later values. Exceptions of the functions pass through, with a note about the call. InputError if one is not
+    callable.
 
     Parameters
     ----------
@@ -34,7 +33,7 @@ class FunctionPlant:
     n, q : int
         Sizes of state and input, at least 1.
     names : tuple of str
-        What messages call the two functions.
+        The names of the two functions in messages.
 
     Examples
     --------
@@ -67,7 +66,7 @@ class FunctionPlant:
         for name, value in found.items():
             if not np.all(np.isfinite(value)):
                 raise PlantError(
-                    f"{name} must be finite at z = 0, v = 0, where the scheme is to bring the plant, got "
+                    f"{name} must be finite at z = 0, v = 0, to which the scheme brings the plant, got "
                     f"{describe(value)}; shift the coordinates so that the wanted equilibrium is at zero"
                 )
         object.__setattr__(self, "p", len(found[self._output_name]))
@@ -83,8 +82,8 @@ class FunctionPlant:
     def step(self, z: Array, v: Array) -> Array:
         """Return the next state, shape (..., n), member by member of the batch.
 
-        An entry is infinite or NaN where the function says so, and infinite where it leaves the range of float64
-        (OverflowError): the closed loop stops there as diverged. InputError if z or v has another length or their batch
+        Infinite and NaN entries of the function are kept, and an OverflowError gives an infinite entry; the closed loop
+        then stops as diverged. InputError if z or v has another length or their batch
         axes do not fit, PlantError if the function returns something other than n real numbers.
         """
         z, v = check_lengths(z=(z, self.n), v=(v, self.q))
@@ -96,7 +95,7 @@ class FunctionPlant:
         return out
 
     def output(self, z: Array) -> Array:
-        """Return the output, shape (..., p), member by member of the batch; it raises as :meth:`step` does."""
+        """Return the output, shape (..., p), member by member of the batch; errors as in :meth:`step`."""
         (z,) = check_lengths(z=(z, self.n))
         out = np.empty((*z.shape[:-1], self.p))
         for i in np.ndindex(z.shape[:-1]):
@@ -105,7 +104,7 @@ class FunctionPlant:
 
 
 def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *arguments: Array) -> Array:
-    """Call a caller's function and check what comes back: real numbers of shape (length,), finite or not."""
+    """Call a user's function and check that it returns real numbers of shape (length,), finite or not."""
     wanted = f"an array of shape ({'p' if length is None else length},)"
     try:
         returned = function(*arguments)
@@ -119,7 +118,7 @@ def _called(name: str, function: Callable[..., ArrayLike], length: int | None, *
         raw = np.asarray(returned)
     except Exception as error:  # a ragged list, or any error of the object's own conversion
         raise PlantError(
-            f"{name} must return {wanted}, got {describe(returned)}, which is no rectangular array; "
+            f"{name} must return {wanted}, got {describe(returned)}, which is not a rectangular array; "
             "return np.array([...]) with one number for each entry"
         ) from error
     if raw.dtype.kind not in "iuf":

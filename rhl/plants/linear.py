@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class LinearPlant:
     r"""The plant :math:`z(k+1) = F z(k) + G v(k),\; y(k) = H z(k)`, equation (1).
 
-    The scheme assumes (F, G) stabilizable and (F, H) detectable (Assumption 1); this class does not, so that readers
-    can see what happens otherwise.
+    The scheme assumes (F, G) stabilizable and (F, H) detectable (Assumption 1); this class does not, so that you
+    can try other plants.
 
     Parameters
     ----------
@@ -47,17 +47,16 @@ class LinearPlant:
         """Take a system without feedthrough from python-control; no slycot is needed.
 
         A state space gives its own F, G, H. A transfer function is realised: each input by one companion form over the
-        common denominator of its column, which is controllable; what the outputs do not see of that is taken away, so
-        that no mode is hidden (an unstable pole that channels share would otherwise make the plant undetectable). The
-        order is then the McMillan degree; roots of a numerator and a denominator that agree to ten digits or so count
-        as cancelled.
+        common denominator of its column, which is controllable, reduced to the observable part. No mode is then hidden
+        (an unstable pole shared by channels would otherwise make the plant undetectable), and the order is the McMillan
+        degree. Roots of a numerator and a denominator that agree to about ten digits count as cancelled.
 
         ``sampling`` is the time between samples of a system in continuous time, positive; its inputs are held constant
         in between, and its state at the samples is the plant's.
 
         InputError if the system is neither of the two, is in continuous time (``dt`` neither positive nor True) without
         ``sampling`` or in discrete time with it, has feedthrough, is improper, holds complex numbers, or is zero. Any
-        numbers of inputs and outputs will do.
+        number of inputs and outputs is allowed.
 
         Examples
         --------
@@ -68,12 +67,12 @@ class LinearPlant:
         >>> LinearPlant.from_control(control.tf([1.0], [1.0, 0.0]), sampling=0.5).G
         array([[0.5]])
         """
-        import control  # here, because it brings matplotlib along
+        import control  # imported here, because it loads matplotlib
 
         if not isinstance(system, control.StateSpace | control.TransferFunction):
             raise InputError(
                 f"system must be a control.StateSpace or a control.TransferFunction, got {type(system).__name__}; "
-                "a plant of another kind is an rhl.plants.FunctionPlant"
+                "use rhl.plants.FunctionPlant for another kind of plant"
             )
         if sampling is not None:
             sampling = positive("sampling", sampling)
@@ -124,7 +123,7 @@ class LinearPlant:
 
 def _of_state_space(system: control.StateSpace) -> tuple[Array, Array, Array]:
     if any(np.iscomplexobj(M) for M in (system.A, system.B, system.C, system.D)):
-        raise InputError("system must have real matrices, got complex ones; give the real system that they stand for")
+        raise InputError("system must have real matrices, got complex ones; give the equivalent real system")
     if np.any(system.D):
         q = system.ninputs
         if system.isdtime(strict=True):

@@ -29,13 +29,13 @@ class RobotArm:
         x_3^+ &= x_3 + h (-d x_3 - e x_2 + f u)
 
     State: angle x1 (rad), angular velocity x2 (rad/s), motor current x3 (A); input: voltage u (V); the whole state is
-    measured, y = x. The "data" coefficients are this project's observation.
+    measured, y = x. This project inferred the "data" coefficients.
 
     Parameters
     ----------
     variant : {"data", "printed"}
         "printed" has the coefficients in the paper's text, (a, b, c, d, e, f) = (36.4, 1.7, 1309, 1000, 3.6, 100);
-        "data" has those that the published curves obey, (400/11, 19.12/11, 1000/11, 86.04, 3.64, 100).
+        "data" has those that reproduce the published curves, (400/11, 19.12/11, 1000/11, 86.04, 3.64, 100).
     h : float
         Step size in seconds.
     """

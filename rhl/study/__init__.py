@@ -1,1 +1,1 @@
-"""The scheme beside its rivals, on plants that others chose."""
+"""Comparisons of the scheme with rivals, and campaigns on many plants."""

@@ -1,4 +1,4 @@
-"""Adaptive LQ control: recursive least squares, the regulator of the model at hand, and a dither that fades."""
+"""Adaptive LQ control: recursive least squares, the regulator of the current model, and a decaying dither."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from rhl.lifting import DelayLifting, remember
 from rhl.model import SignalModel
 from rhl.study.rivals import Run, Task, regulator
 
-# P(0) = 1e6 I, in the units of the signals, is large as textbooks ask: the first model counts for little.
+# P(0) = 1e6 I, in the units of the signals, is large, as textbooks recommend, so the first model has little weight.
 _PRIOR = 1e-3
-# Steps that the regulator looks ahead; on these plants a hundred do no better.
+# The regulator's horizon; on these plants a hundred steps are no better.
 _AHEAD = 50
-# Every step at first, while estimates still jump; then every tenth.
+# The regulator is updated at every step at first, while estimates change fast, then at every tenth.
 _ALWAYS, _EVERY = 50, 10
 
 
 def adaptive_lq(tasks: Sequence[Task]) -> list[Run]:
-    r"""Run certainty-equivalent LQ control on one plant, all tasks at once: they differ in seeds only.
+    r"""Run certainty-equivalent LQ control on one plant, for all tasks at once, which differ only in seeds.
 
     The model :math:`y(k) = \theta\, [y(k-1); \dots; y(k-m); v(k-1); \dots; v(k-m)]` is fitted to all data by recursive
     least squares (in square-root form, P(0) = 1e6 I in the signals' units, no forgetting, first estimate zero); m is
-    ``order`` or, with noise, three times that, as predictors from noisy outputs need. The input is that of the LQ
-    regulator for the estimate, with the task's weights, plus a dither with standard deviation
+    ``order`` or, with noise, three times that, since predictors from noisy outputs need more. The input is that of the
+    LQ regulator for the estimate, with the task's weights, plus a dither with standard deviation
     :math:`\text{size}\,(k+1)^{-1/4}`: its variance falls as :math:`k^{-1/2}`.
 
     References
@@ -34,7 +34,7 @@ def adaptive_lq(tasks: Sequence[Task]) -> list[Run]:
     Simchowitz and D. Foster, Naive exploration is optimal for online LQR, ICML 2020, for the dither's decay. Both
     measure the state, start from a regulator that stabilises the plant, and update in epochs of doubling length; here
     outputs are lifted, there is no such regulator, and the estimate is used at once (every step up to k = 50, then
-    every tenth), which is kinder to a plant that runs away.
+    every tenth), which suits an unstable plant better.
     """
     one, members = tasks[0], len(tasks)
     m, plant = one.stacked, one.plant
@@ -58,7 +58,7 @@ def adaptive_lq(tasks: Sequence[Task]) -> list[Run]:
         going = ended > k
         if not np.any(going):
             break
-        # A member that is lost stays at zero from then on.
+        # A member that diverged stays at zero from then on.
         z[~going], v[~going], y[~going], ys[~going], vs[~going] = 0.0, 0.0, 0.0, 0.0, 0.0
         vs = remember(vs, v)
         ys = remember(ys, y + np.stack([task.errors[k] for task in tasks]))
@@ -80,7 +80,7 @@ def adaptive_lq(tasks: Sequence[Task]) -> list[Run]:
 def _gain(
     triangle: Array, scale: Array, task: Task, shift: Array, lifting: DelayLifting, seen: Array, before: Array
 ) -> Array:
-    """Return the regulators of the least-squares models; where there is none that is finite, the one before."""
+    """Return the regulators of the least-squares models; the previous one if the new one is not finite."""
     p, n, d = task.plant.p, len(shift), len(scale)
     theta = np.linalg.solve(triangle[:, :d, :d], triangle[:, :d, d:]).swapaxes(1, 2)
     theta = theta * task.output_sizes[:, None] * scale

@@ -1,4 +1,4 @@
-"""Who does a campaign's tasks: this process, processes of its own, or a Dask cluster."""
+"""The backends of a campaign: this process, worker processes, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from rhl._checks import describe, integer
 from rhl.errors import InputError
 from rhl.study.campaign import Backend, LostWorkersError
 
-# Seconds for which a cluster may be without workers before a campaign gives it up.
+# Seconds that a cluster may be without workers before the campaign stops.
 _PATIENCE = 60.0
 
 
 class _InProcess(Executor):
-    """Does a task when it is handed over; what interrupts it is raised there."""
+    """Runs a task when it is submitted, so that an interrupt is raised there."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -35,12 +35,12 @@ class _InProcess(Executor):
 
 
 def in_process() -> Backend:
-    """Return a backend that does one task after the other in this process."""
+    """Return a backend that runs one task after the other in this process."""
     return Backend(_InProcess)
 
 
 def processes(count: int) -> Backend:
-    """Return a backend of that many worker processes, which end with this one, however it ends."""
+    """Return a backend of that many worker processes, which end with this process in any case."""
     integer("workers", count, 1)
 
     @contextmanager
@@ -51,7 +51,7 @@ def processes(count: int) -> Backend:
         try:
             yield pool
         finally:
-            # It ends the workers; what they have in hand where this ends early is of no use any more.
+            # It ends the workers; after an early end their current tasks are no longer needed.
             writer.close()
             pool.shutdown(cancel_futures=True)
             reader.close()
@@ -60,33 +60,33 @@ def processes(count: int) -> Backend:
 
 
 def _begin_worker(reader: Connection) -> None:
-    # Ctrl-C reaches every process of a terminal; the campaign's decides what becomes of its workers.
+    # Ctrl-C reaches every process of a terminal; the campaign's process decides how its workers end.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(reader,), daemon=True).start()
 
 
 def _end_with(reader: Connection) -> None:
-    """End this process when the other end of a pipe is closed, as it is when its process is killed."""
+    """End this process when the other end of a pipe is closed, for instance since its process was killed."""
     with suppress(EOFError, OSError):
         reader.recv()
     os._exit(1)
 
 
 def cluster(address: str, timeout: float = 10.0) -> Backend:
-    """Return a backend of the workers of a Dask scheduler, which must have this library at hand.
+    """Return a backend of the workers of a Dask scheduler, which must have this library installed.
 
-    InputError if no scheduler answers in ``timeout`` seconds, or it has no workers. Where a worker is lost, Dask gives
+    InputError if no scheduler answers in ``timeout`` seconds, or it has no workers. If a worker is lost, Dask gives
     its tasks to others, a few times.
     """
     import distributed
     from distributed.comm.addressing import parse_address, parse_host_port
     from distributed.comm.core import CommClosedError
 
-    client_of: Any = distributed.Client  # which comes without types
+    client_of: Any = distributed.Client  # it has no types
 
     def connect() -> Any:
         try:
-            # Here, because a client that fails over an address without a port is slow, and loud, to go.
+            # Checked here, because a client with an address without a port fails slowly and with many messages.
             parse_host_port(parse_address(address)[1])
             return client_of(address, timeout=timeout, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -121,11 +121,11 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
         seen = time.monotonic()
         try:
             opened = connect()
-        except InputError as error:  # it answered before
+        except InputError as error:  # the scheduler answered before
             raise LostWorkersError(str(error)) from None
         with opened as client:
             open_clients.append(client)
-            # Tasks that are handed over once more are not to be given the answer, or the failure, of before.
+            # Tasks that are submitted again must not get the earlier result or failure.
             pool = client.get_executor(pure=False)
             try:
                 yield pool

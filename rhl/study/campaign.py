@@ -23,35 +23,35 @@ from rhl.study.choices import Choice
 from rhl.study.ensembles import Drawn, Ensemble
 from rhl.trace import Trace
 
-# As in `rhl.study.compare`, which a test holds beside this: at rest are outputs whose last twenty are below this share
-# of the largest of y(0), settled are those that stay below the other from some step on.
+# As in `rhl.study.compare`, which a test compares with this: outputs are at rest if the last twenty are below this
+# share of the largest of y(0), and settled from the step on after which they stay below the other share.
 _REST, _LAST, _SETTLED = 0.05, 20, 0.01
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A number that a campaign keeps: the type and the unit of its entries, and what it says."""
+    """A variable of a campaign's results: type and unit of its entries, and its description."""
 
     dtype: str
     units: str
     description: str
 
 
-# Of each run; its dimensions are scheme and plant.
+# For each run; the dimensions are scheme and plant.
 RUN_VARIABLES = {
     "at_rest": Variable("bool", "1", "whether the last 20 outputs are below 0.05 of the largest of y(0)"),
     "peak": Variable("f8", "largest |y(0)|", "largest output of the run; infinite where it diverged"),
     "settled_at": Variable("i4", "step", "first k from which outputs stay below 0.01 of the largest of y(0); -1: none"),
-    "largest_input": Variable("f8", "the plant's own", "largest input applied; infinite where the run diverged"),
+    "largest_input": Variable("f8", "the plant's own", "largest applied input; infinite where the run diverged"),
     "diverged_at": Variable("i4", "step", "k at which the run left the range of float64; -1: it did not"),
     "final_size": Variable("f8", "largest |y(0)|", "largest of the last 20 outputs; infinite where the run diverged"),
 }
-# Of each plant.
+# For each plant.
 PLANT_VARIABLES = {
     "n": Variable("i4", "1", "order of the plant"),
     "p": Variable("i4", "1", "number of outputs"),
     "q": Variable("i4", "1", "number of inputs"),
-    "bound": Variable("i4", "1", "bound on the observability index that schemes are told, before order_factor"),
+    "bound": Variable("i4", "1", "bound on the observability index given to schemes, before order_factor"),
     "sampling": Variable("f8", "s", "time from sample to sample; 0: the plant was drawn in discrete time"),
     "spectral_radius": Variable("f8", "1", "largest modulus of an eigenvalue of F"),
     "stabilizability_margin": Variable(
@@ -68,7 +68,7 @@ PLANT_VARIABLES = {
 
 
 class LostWorkersError(RHLError):
-    """Workers of a campaign were lost again and again."""
+    """Workers of a campaign were lost repeatedly."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Task:
 
     @property
     def name(self) -> str:
-        """What its marker is called."""
+        """The name of its marker."""
         return f"{'plants' if self.scheme is None else self.scheme}-{self.first}"
 
 
@@ -92,18 +92,18 @@ class Campaign:
     Parameters
     ----------
     plants : Ensemble
-        Which plants.
+        The plants.
     schemes : tuple of Choice
-        Which schemes, with labels that differ.
+        The schemes, with distinct labels.
     steps : int
         Of each run, at least 20.
     noise : float
         Standard deviation of normal errors of the outputs, relative to the plant's largest |y(0)|. Each plant has
-        errors of its own, which do not depend on the scheme. Scores are of the outputs as measured.
+        its own errors, which do not depend on the scheme. Scores refer to the measured outputs.
     input_bound : float, optional
-        Where the actuators saturate, the same for every input; no bound where omitted.
+        The saturation of the actuators, the same for every input; no bound by default.
     chunk : int
-        How many plants a task has.
+        The number of plants in a task.
 
     Raises
     ------
@@ -126,12 +126,12 @@ class Campaign:
         if self.input_bound is not None:
             positive("input_bound", self.input_bound)
         if not self.schemes:
-            raise InputError("schemes must have one at least, got none")
+            raise InputError("schemes must have at least one entry, got none")
         labels, sizes = [], sorted(self.plants.sizes())
         for one in self.schemes:
             instance("schemes", one, Choice)
             if one.label in labels:
-                raise InputError(f"schemes must have labels that differ, got {describe(one.label)} twice")
+                raise InputError(f"schemes must have distinct labels, got {describe(one.label)} twice")
             labels.append(one.label)
             for size in sizes:
                 one.scheme(*size)
@@ -143,7 +143,7 @@ class Campaign:
                 yield Task(scheme, first, min(first + self.chunk, len(self.plants)))
 
     def evaluate(self, task: Task) -> dict[str, np.ndarray]:
-        """Do a task: each of ``PLANT_VARIABLES`` or ``RUN_VARIABLES``, shape (stop - first,).
+        """Run a task; return each of ``PLANT_VARIABLES`` or ``RUN_VARIABLES``, shape (stop - first,).
 
         Plants of one size run in one batch.
         """
@@ -153,7 +153,7 @@ class Campaign:
         return self.runs(task.scheme, numbers)
 
     def runs(self, scheme: int, numbers: Sequence[int]) -> dict[str, np.ndarray]:
-        """Run the scheme of that number on the plants of these: each of ``RUN_VARIABLES``, shape (len(numbers),)."""
+        """Run one scheme on the plants in ``numbers``; return ``RUN_VARIABLES``, shape (len(numbers),)."""
         drawn = [self.plants.draw(i) for i in numbers]
         found = {name: np.empty(len(drawn), about.dtype) for name, about in RUN_VARIABLES.items()}
         groups: dict[tuple[int, int, int, int], list[int]] = defaultdict(list)
@@ -227,29 +227,29 @@ def _scores(trace: Trace) -> dict[str, np.ndarray]:
 
 
 class Results(Protocol):
-    """Where a campaign's results go."""
+    """The storage of a campaign's results."""
 
     def done(self) -> set[Task]:
-        """Return which tasks are done."""
+        """Return the names of the completed tasks."""
 
     def write(self, task: Task, found: dict[str, np.ndarray]) -> None:
-        """Keep what a task found."""
+        """Store the results of a task."""
 
 
 @dataclass(frozen=True)
 class Backend:
-    """Who does the tasks.
+    """The executor of a campaign's tasks.
 
     Parameters
     ----------
     executor : callable
-        Returns a context in which there is an executor; called again where its workers were lost.
+        Returns a context with an executor; called again after workers were lost.
     ahead : int
-        How many tasks are handed out at once.
+        The number of tasks submitted at once.
     lost : tuple of exception types
-        What is raised where workers were lost.
+        The exceptions raised when workers are lost.
     check : callable, optional
-        Called every few seconds while nothing happens; raises if nothing will.
+        Called every few seconds while no task completes; raises if none will.
     """
 
     executor: Callable[[], AbstractContextManager[Executor]]
@@ -266,25 +266,25 @@ def run(
     retries: int = 3,
     progress: Callable[[int], None] = lambda done: None,
 ) -> None:
-    """Do all tasks that are not done, in whatever order they come back.
+    """Run all remaining tasks, in any order.
 
     Parameters
     ----------
     campaign : Campaign
     results : Results
-        A task is handed over here by this process alone, so that no two write at once.
+        Only this process stores results, so there are no concurrent writes.
     backend : Backend
     retries : int
-        How many times the tasks in hand are done again after workers were lost.
+        The number of times that submitted tasks are repeated after workers were lost.
     progress : callable
         Called with the number of tasks done.
 
     Raises
     ------
     LostWorkersError
-        If workers are lost once more.
+        If workers are lost after the last retry.
     StoreError
-        If the store takes no more.
+        If the store cannot be written.
     """
     before = results.done()
     tasks = list(campaign.tasks())
@@ -300,7 +300,7 @@ def run(
             if losses > retries:
                 raise LostWorkersError(
                     f"workers must stay until their tasks are done, got {losses} losses of one or more "
-                    f"({type(error).__name__}); memory may be short, then a smaller chunk or fewer workers help"
+                    f"({type(error).__name__}); if memory is short, use a smaller chunk or fewer workers"
                 ) from error
 
 
@@ -312,7 +312,7 @@ def _drain(
     waiting: deque[Task],
     tell: Callable[[int], None],
 ) -> None:
-    """Empty the queue; what was handed out and did not come back is in it again where this ends early."""
+    """Empty the queue; after an early end, submitted tasks without a result are in it again."""
     handed: dict[Future[dict[str, np.ndarray]], Task] = {}
     try:
         while waiting or handed:
@@ -336,13 +336,13 @@ def summary(results: Any) -> list[dict[str, Any]]:
     Parameters
     ----------
     results : xarray.Dataset
-        With the ``RUN_VARIABLES``; a part of a campaign's will do, as long as both dimensions are there.
+        With the ``RUN_VARIABLES``; a part of a campaign's is allowed, with both dimensions.
 
     Returns
     -------
     list of dict
-        A row for each scheme: scheme, plants, at_rest, peak_50, peak_90, peak_99, diverged. A quantile is a peak that
-        occurred: the least that so many are not above.
+        A row for each scheme: scheme, plants, at_rest, peak_50, peak_90, peak_99, diverged. A quantile is an observed
+        peak: the least one that this share of the runs does not exceed.
     """
     rows = []
     for scheme in results.scheme.values:

@@ -1,4 +1,4 @@
-"""Schemes of a campaign: which one, and what is set otherwise than in it."""
+"""Schemes of a campaign: a base scheme and changed settings."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Base = Literal["default", "window"]
 
 @dataclass(frozen=True)
 class Choice:
-    """A scheme of a campaign: which one, and what is set otherwise than in it.
+    """A scheme of a campaign: a base scheme and changed settings.
 
     Parameters
     ----------
     label : str
-        What it is called in the results.
+        Its name in the results.
     base : {"default", "window"}
         ``default_scheme`` or ``window_scheme``.
     order_factor : float
-        The scheme is told the bound on the plant's observability index times this, rounded up; at least 1.
+        The scheme's order is the bound on the plant's observability index times this, rounded up; at least 1.
     inputs : float, optional
-        Size of the first inputs, of the default scheme.
+        Size of the first inputs of the default scheme.
     R, eps_rate, weight : float, optional
         Input weight, rate of the schedule of epsilon, weight of the estimator's generator.
     horizon : int, optional
@@ -40,11 +40,11 @@ class Choice:
     model_delay : int, optional
         0 or 1.
     memory : {"growing", "window"}, optional
-        Which transitions are fitted: all that were measured, or those of a window.
+        The fitted transitions: all measured ones, or those of a window.
     window : float, optional
-        How many transitions a window holds, in multiples of the order that the scheme is told; 2 where omitted.
+        The number of transitions in a window, in multiples of the scheme's order; 2 by default.
     units : bool, optional
-        Whether the default scheme's weights count signals in running units.
+        Whether the default scheme's weights use running units.
     """
 
     label: str
@@ -84,7 +84,7 @@ class Choice:
         return self.memory == "growing" or (self.memory is None and self.base == "default")
 
     def scheme(self, p: int, q: int, bound: int) -> Scheme:
-        """Build it for plants with p outputs, q inputs and a bound on their observability index."""
+        """Build the scheme for plants with p outputs, q inputs and a bound on their observability index."""
         order = int(np.ceil(bound * self.order_factor))
         if self.base == "window":
             scheme = window_scheme(p, q, order)
@@ -103,7 +103,7 @@ class Choice:
         weight = self.weight
         if weight is None:
             weight = known.weight if isinstance(known, GrowingMemory) else float(known.generator.weight)
-        # Whatever else the scheme's own estimator is set to stays.
+        # The other settings of the scheme's own estimator are kept.
         if self._growing:
             return replace(known, weight=weight) if isinstance(known, GrowingMemory) else GrowingMemory(weight)
         window = max(1, int(np.ceil((2.0 if self.window is None else self.window) * order)))

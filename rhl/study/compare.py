@@ -1,4 +1,4 @@
-"""One unknown plant under several ways of control, all judged by the same numbers."""
+"""One unknown plant under several control methods, compared by the same numbers."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from rhl.study.adaptive import adaptive_lq
 from rhl.study.deepc import deepc
 from rhl.study.rivals import Run, Task, excite_identify_regulate, known_plant, pose
 
-# At rest are outputs that end below this share of the largest of y(0), and stay there for the last steps of a run.
+# Outputs are at rest if they are below this share of the largest of y(0) in the last steps of a run.
 _REST, _LAST = 0.05, 20
-# Settled are those that stay below this share from some step on.
+# They are settled from the step on after which they stay below this share.
 _SETTLED = 0.01
-# Where outputs are known to within errors of this standard deviation, both shares are so many of them larger.
+# With sensor errors, both shares are larger by this many of their standard deviations.
 _DEVIATIONS = 3.0
 
 
 def paper_scheme(p: int, q: int, order: int) -> Scheme:
-    r"""Return a scheme with the settings of the paper's linear example, for outputs and inputs of any number.
+    r"""Return a scheme with the settings of the paper's linear example, for any number of outputs and inputs.
 
-    From ``rhl.paper.published.linear_example`` carry over: Q = QN = 100, R = 10000, :math:`\epsilon(k) = 1/(1+100k)`,
-    squares with weight 1 for loss and generator, no mixing, the estimate of the step before, and the initial model with
-    ones above the diagonal and in the last row. Sizes follow the example's pattern: :math:`N_y = N_v` = order (4
-    there), a window of twice that (8), and a horizon of 20 or, where it is larger, the size of the augmented state (7),
-    as the theory asks. For one input, one output and order 4 it is the paper's scheme.
+    The settings of ``rhl.paper.published.linear_example`` are: Q = QN = 100, R = 10000, :math:`\epsilon(k) =
+    1/(1+100k)`, squares with weight 1 for loss and generator, no mixing, the estimate of the step before, and the
+    initial model with ones above the diagonal and in the last row. Sizes follow the example's pattern: :math:`N_y =
+    N_v` = order (4 there), a window of twice that (8), and a horizon of 20 or, where it is larger, the size of the
+    augmented state (7), as the theory requires. For one input, one output and order 4 it is the paper's scheme.
     """
     for name, value in (("p", p), ("q", q), ("order", order)):
         integer(name, value, 1)
@@ -52,10 +52,10 @@ def paper_scheme(p: int, q: int, order: int) -> Scheme:
 
 
 def our_scheme(p: int, q: int, order: int, bound: Array | None = None, noise: Array | float = 0.0) -> Scheme:
-    """Return the default scheme for outputs of size p and inputs of size q, as it is run here.
+    """Return the default scheme for outputs of size p and inputs of size q with the settings used here.
 
-    It is told the bound of each input, shape (q,), which its plans keep, and the standard deviation of the outputs'
-    errors, a number or shape (p,).
+    Its plans keep the bound of each input, shape (q,), and it knows the standard deviation of the outputs' errors, a
+    number or shape (p,).
     """
     bounds = None if bound is None else Saturation(-bound, bound)
     return default_scheme(p, q, order, noise=noise, bounds=bounds)
@@ -82,7 +82,7 @@ def _of_scheme(name: str) -> Callable[[Sequence[Task]], list[Run]]:
     return run
 
 
-# Each takes tasks that differ in seeds only.
+# Each takes tasks that differ only in seeds.
 _RUN: dict[str, Callable[[Sequence[Task]], list[Run]]] = {
     "known-plant": _one_by_one(known_plant),
     "excite-identify": _one_by_one(excite_identify_regulate),
@@ -91,16 +91,15 @@ _RUN: dict[str, Callable[[Sequence[Task]], list[Run]]] = {
     **{name: _of_scheme(name) for name in _SCHEMES},
 }
 METHODS = tuple(_RUN)
-# These draw something even where there is no noise; known-plant sees the state and so draws nothing at all.
+# These methods are random even without noise; known-plant measures the state and is never random.
 _RANDOM = ("excite-identify", "adaptive-lq", "deepc")
 
 
 @dataclass(frozen=True)
 class Score:
-    """How one run of one way of control did on one plant; outputs count relative to the largest entry of y(0).
+    """The result of one run of one method on one plant; outputs are relative to the largest entry of y(0).
 
-    All is judged by outputs as they are, not as a sensor with errors shows them. With s the noise's relative standard
-    deviation:
+    All numbers refer to the true outputs, not to the measured ones. s is the noise's relative standard deviation.
 
     Attributes
     ----------
@@ -109,23 +108,23 @@ class Score:
     at_rest : bool
         Whether the last twenty outputs are below 0.05 + 3 s.
     peak : float
-        Largest output; infinite where the run left the range of floating-point numbers.
+        Largest output; infinite if the run left the range of floating-point numbers.
     cost : float
-        What the run cost, over the least that any inputs cost without noise and bounds (``known_plant``); infinite
-        where it diverged. Exciting costs as any other part of the run.
+        Cost of the run relative to the least cost without noise and bounds (``known_plant``); infinite if it diverged.
+        It includes the cost of excitation.
     largest_input : float
         In the plant's own units.
     settled_at : int or None
         The first k from which on outputs stay below 0.01 + 3 s; None if there is none.
     step_time : float
-        Seconds of computation a step, those of identification included, over all seeds that ran together.
+        Seconds of computation per step, including identification, over all seeds that ran together.
     seed : int
     noise : float
         Standard deviation s of the measurement errors, relative to the first outputs.
     bounded : float or None
         The bound of inputs, see ``rivals.pose``.
     failure : str
-        What the method raised, on one line; "" where it ran.
+        The error of the method, on one line; "" if there was none.
     """
 
     method: str
@@ -153,12 +152,12 @@ def compare(
     bounded: float | None = None,
     methods: Sequence[str] = METHODS,
 ) -> tuple[Score, ...]:
-    """Run a plant under each method and judge them.
+    """Run a plant under each method and score the runs.
 
-    ``METHODS``: the regulator that knows the plant and its state (without noise and bounds the least cost there is),
+    ``METHODS``: the regulator that knows the plant and its state (the least cost without noise and bounds),
     three rivals that know neither, the settings of the paper's linear example, ``window_scheme`` and
-    ``default_scheme``. All but the first are told the sizes of y and v and ``order``; the rivals are also told the cost
-    by which all are judged, the noise and the bounds.
+    ``default_scheme``. All but the first know the sizes of y and v and ``order``; the rivals also know the cost
+    function of the comparison, the noise and the bounds.
 
     Parameters
     ----------
@@ -172,16 +171,16 @@ def compare(
     seed : int
         The first seed.
     seeds : int
-        How many seeds a method runs with that draws anything; what draws nothing runs once.
+        The number of seeds for methods that are random; a deterministic run is done once.
     noise, bounded
         See ``rivals.pose``.
     methods : sequence of str
-        Which to run.
+        The methods to run.
 
     Returns
     -------
     tuple of Score
-        In the order of ``methods``, then of seeds. A run that fails has a score too, which says what was raised.
+        In the order of ``methods``, then of seeds. A failed run has a score too, which holds its error.
 
     Raises
     ------
@@ -218,7 +217,7 @@ def _scores(method: str, tasks: Sequence[Task], least: float, bounded: float | N
     try:
         runs, failures = _RUN[method](tasks), [""] * len(tasks)
     except Exception as error:
-        if len(tasks) > 1:  # one bad run must not take the others along
+        if len(tasks) > 1:  # one failing run must not fail the others
             return [score for task in tasks for score in _scores(method, [task], least, bounded)]
         runs, failures = [_nothing(tasks[0])], [reason(error)]
     seconds = (perf_counter() - begun) / max(1, sum(len(run.y) for run in runs))
@@ -279,10 +278,10 @@ def _judged(
 
 @dataclass(frozen=True)
 class Summary:
-    """How a method did over several runs.
+    """The results of a method over several runs.
 
-    ``at_rest`` counts those at rest, ``low_peak`` those of them with a peak below 100. ``peak``, ``cost`` and
-    ``step_time`` are medians over all runs, infinite where half of them diverged.
+    ``at_rest`` counts the runs at rest, ``low_peak`` those of them with a peak below 100. ``peak``, ``cost`` and
+    ``step_time`` are medians over all runs, infinite if half of them diverged.
     """
 
     method: str
@@ -297,7 +296,7 @@ class Summary:
 
 
 def summaries(scores: Iterable[Score]) -> list[Summary]:
-    """Sum scores up by noise, bound and method, in the order in which they come.
+    """Summarise scores by noise, bound and method, in the order of appearance.
 
     Examples
     --------

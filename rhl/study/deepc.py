@@ -1,4 +1,4 @@
-"""Data-enabled predictive control: inputs planned on a matrix of measured trajectories, without a model."""
+"""Data-enabled predictive control: inputs planned with a matrix of measured trajectories, without a model."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from rhl._checks import Array
 from rhl.lifting import remember
 from rhl.study.rivals import Run, Task, closed
 
-# A direction of the past inputs counts where its singular value exceeds this share of the largest.
+# A direction of the past inputs counts if its singular value exceeds this share of the largest.
 _RANK_RTOL = 1e-12
-# How far it looks ahead.
+# The horizon.
 _AHEAD = 20
-# The slack of the measured past costs so much, in the outputs' units: much more than any output.
+# The weight of the slack in the measured past, in the outputs' units: much larger than that of an output.
 _SLACK = 1e8
-# The least regularisation of g; below, rounding decides which of many equal combinations is taken.
+# The least regularisation of g; below, rounding decides between equivalent combinations.
 _LEAST = 1e-8
-# Noise counts so many times more than what it adds to predicted outputs; with 1 or 100, fewer plants come to rest.
+# The weight of noise relative to its contribution to predicted outputs; with 1 or 100, fewer plants come to rest.
 _CAUTION = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    r"""The problem that is solved at every step, in g and for measured trajectories as columns of [U_p; Y_p; U_f; Y_f].
+    r"""The problem of every step in the variable g, with measured trajectories as columns of [U_p; Y_p; U_f; Y_f].
 
     .. math::
         \min_g\; |Y_f g|_W^2 + |U_f g|_R^2 + \lambda_g |g|^2 + \lambda_y |Y_p g - y_{ini}|^2
@@ -34,7 +34,7 @@ class Predictor:
     Attributes
     ----------
     Up, Yp, Uf, Yf : array, shapes (T_ini q, M), (T_ini p, M), (N q, M), (N p, M)
-        Block Hankel matrices of the inputs and outputs measured, oldest block first.
+        Block Hankel matrices of the measured inputs and outputs, oldest block first.
     W, R : array, shapes (p, p) and (q, q)
     of_g, of_slack : float
         lambda_g and lambda_y.
@@ -54,7 +54,7 @@ class Predictor:
 
     @cached_property
     def _past(self) -> tuple[Array, Array]:
-        """The shortest g with U_p g = u_ini as a map of u_ini, and a basis of what g may do beside."""
+        """The least-norm g with U_p g = u_ini as a map of u_ini, and a basis of the null space of U_p."""
         left, size, right = np.linalg.svd(self.Up)
         rank = int(np.sum(size > _RANK_RTOL * size[0]))
         return right[:rank].T @ (left[:, :rank].T / size[:rank, None]), right[rank:].T
@@ -72,8 +72,8 @@ class Predictor:
 
     @cached_property
     def _reach(self) -> Array:
-        """How the inputs planned follow a change of g that costs its square, shape (N q, M - rank of U_p)."""
-        from scipy.linalg import solve_triangular  # here, because most runs need neither
+        """The map to planned inputs from a change of g, scaled to cost its square, shape (N q, M - rank of U_p)."""
+        from scipy.linalg import solve_triangular  # imported here, because most runs need neither
 
         beside = self._past[1]
         triangle = np.asarray(np.linalg.qr(self._stack @ beside, mode="r"))
@@ -81,7 +81,7 @@ class Predictor:
 
     @cached_property
     def _stack(self) -> Array:
-        """What is squared and summed, before [0; ...; y_ini] is taken off."""
+        """The matrix of the sum of squares, before [0; ...; y_ini] is subtracted."""
         p, q = len(self.W), len(self.R)
         factors = np.linalg.cholesky(self.W).T, np.linalg.cholesky(self.R).T
         outputs, inputs = (
@@ -93,9 +93,9 @@ class Predictor:
         )
 
     def plan(self, u: Array, y: Array) -> Array:
-        """Return the inputs planned, shape (N, q), after inputs u and outputs y, shapes (T_ini, q) and (T_ini, p).
+        """Return the planned inputs, shape (N, q), after inputs u and outputs y, shapes (T_ini, q) and (T_ini, p).
 
-        Where the solver fails to find those within the bounds, they are those without bounds, clipped.
+        If the solver fails within the bounds, they are those without bounds, clipped.
         """
         ini = np.concatenate([u.ravel(), y.ravel()])
         free = self._free @ ini
@@ -105,22 +105,22 @@ class Predictor:
         return self._bounded(free)
 
     def _bounded(self, free: Array) -> Array:
-        """Return the inputs planned within the bounds: the nearest to the free ones, in the measure of the cost.
+        """Return the planned inputs within the bounds: those of least additional cost over the free ones.
 
-        Where the solver finds none, the free ones are clipped.
+        If the solver finds none, the free ones are clipped.
         """
-        import piqp  # here, because most runs need neither
+        import piqp  # imported here, because most runs need neither
 
         assert self.bound is not None
-        # |stack (free + beside w)|^2 is least at w = 0, so that only |t|^2 is left, t = triangle w.
+        # |stack (free + beside w)|^2 is least at w = 0, so only |t|^2 remains, t = triangle w.
         limit = np.tile(self.bound, len(self.Uf) // len(self.bound))
         reach, planned = self._reach / limit[:, None], (self.Uf @ free) / limit
-        reach = reach / np.max(np.abs(reach))  # which only counts t in another unit
+        reach = reach / np.max(np.abs(reach))  # this only rescales t
         solver = piqp.DenseSolver()
         n = reach.shape[1]
         solver.setup(np.eye(n, order="F"), np.zeros(n), None, None, np.asfortranarray(reach), -1 - planned, 1 - planned)
         if solver.solve() != piqp.Status.PIQP_SOLVED:
-            # Far outside the bounds, where the plant has run away, solvers give up.
+            # Far outside the bounds, after the plant has diverged, solvers fail.
             return (np.clip(planned, -1.0, 1.0) * limit).reshape(-1, len(self.R))
         found = planned + reach @ solver.result.x
         return (np.clip(found, -1.0, 1.0) * limit).reshape(-1, len(self.R))
@@ -133,27 +133,27 @@ def hankel(signal: Array, length: int) -> Array:
 
 
 def excitation_length(task: Task) -> int:
-    """Return how many steps ``deepc`` excites, the least that persistency of excitation asks for."""
+    """Return the number of excitation steps of ``deepc``, the least for persistency of excitation."""
     return (task.plant.q + 1) * (task.stacked + _AHEAD + task.plant.p * task.order) - 1
 
 
 def deepc(task: Task) -> Run:
-    r"""Excite, then plan every input on the trajectories measured meanwhile.
+    r"""Excite the plant, then plan every input with the measured trajectories.
 
-    Inputs that excite are normal with standard deviation ``task.size`` and are T steps long, the least that persistency
-    of excitation asks for: :math:`T = (q+1)(T_{ini} + N + p\,m) - 1`, with m the order told, N = 20 steps ahead, and
-    :math:`T_{ini} = m` or, with noise, 3m. Outputs count in their first sizes and inputs in ``task.size``. There
-    :math:`\lambda_y = 10^8`, and :math:`\lambda_g` is ten times what the noise adds to predicted outputs,
-    :math:`10 N p\,\sigma^2`, at least 1e-8: without noise the past must be met, as in the problem without slack. Where
-    T reaches the number of steps, the run consists of excitation. Longer data make matters worse here, since an
-    unstable plant runs away meanwhile.
+    The exciting inputs are normal with standard deviation ``task.size`` and last T steps, the least for persistency of
+    excitation: :math:`T = (q+1)(T_{ini} + N + p\,m) - 1`, with the given order m, N = 20 steps ahead, and
+    :math:`T_{ini} = m` or, with noise, 3m. Outputs are scaled by their first sizes and inputs by ``task.size``. In this
+    scale :math:`\lambda_y = 10^8`, and :math:`\lambda_g` is ten times what the noise adds to predicted outputs,
+    :math:`10 N p\,\sigma^2`, at least 1e-8: without noise the past holds exactly, as in the problem without slack. If T
+    reaches the number of steps, the whole run is excitation. Longer excitation is worse here, since an unstable plant
+    diverges meanwhile.
 
     References
     ----------
     J. Coulson, J. Lygeros and F. Dörfler, Data-enabled predictive control: in the shallows of the DeePC, European
     Control Conference 2019, with the squares for regularisation of E. Elokda, J. Coulson, P. N. Beuchat, J. Lygeros and
     F. Dörfler, Data-enabled predictive control for quadcopters, International Journal of Robust and Nonlinear Control
-    31(18), 2021, so that without active bounds a plan is linear in what was measured.
+    31(18), 2021, so that without active bounds a plan is linear in the measurements.
     """
     p, q, m = task.plant.p, task.plant.q, task.stacked
     length = excitation_length(task)

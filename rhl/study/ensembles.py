@@ -1,4 +1,4 @@
-"""Many plants to run a scheme on: drawn at random, or from the benchmark list, each by its number."""
+"""Ensembles of plants for a scheme: random plants or benchmarks, accessed by number."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Drawn:
     ----------
     F, G, H : array, shapes (n, n), (n, q), (p, n)
     z0 : array, shape (n,)
-        Its initial state, of length one.
+        Its initial state, of norm one.
     bound : int
-        A bound on its observability index, which a scheme may be told.
+        A bound on its observability index, which a scheme may know.
     sampling : float
-        Seconds from sample to sample; 0 for a plant that was drawn in discrete time.
+        Seconds between samples; 0 for a plant drawn in discrete time.
     """
 
     F: Array
@@ -53,19 +53,19 @@ class Drawn:
 
 
 class Ensemble(Protocol):
-    """Plants by number, each the same whoever asks for it, and in whatever order."""
+    """Plants by number; each is independent of the order of access."""
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of plants."""
 
     def draw(self, i: int) -> Drawn:
         """Return plant i."""
 
     def errors(self, i: int) -> SeedSequence:
-        """Return where the errors of plant i's sensors come from."""
+        """Return the seed of the errors of plant i's sensors."""
 
     def sizes(self) -> set[tuple[int, int, int]]:
-        """Return p, q and the bound of every plant that there is."""
+        """Return p, q and the bound of every plant."""
 
     def labels(self) -> list[str]:
         """Return a name for each plant; none where they have only numbers."""
@@ -75,23 +75,23 @@ class Ensemble(Protocol):
 class RandomPlants:
     r"""Random linear plants: ``count`` for each combination of sizes and sampling times.
 
-    A plant's reachable and visible part has matrices with standard normal entries. In discrete time its state matrix
+    The part of a plant that is not hidden has matrices with standard normal entries. In discrete time its state matrix
     is scaled to a spectral radius that is uniform in ``radius``. In continuous time (``growth`` given) it is divided
     by the root of its order and shifted, so that the largest real part of its eigenvalues is uniform in ``growth``;
-    it is then sampled with inputs held. Hidden modes are stable: of each, a coin says whether the inputs do not reach
-    it (it then drives the rest, and outputs see it) or the outputs do not see it. The states are put into coordinates
+    it is then sampled with inputs held. Hidden modes are stable: each is at random either not controllable
+    (it then drives the rest and is observable) or not observable. The states are transformed to coordinates
     T z, where T has random singular vectors and a condition number that is log-uniform up to ``conditioning``. The
     initial state is uniform on the unit sphere of these coordinates.
 
-    Plant i is drawn from a child of the seed of its own, so that it does not depend on which others are drawn. Plants
-    that differ in the sampling time alone are samplings of the same plant.
+    Plant i has its own child of the seed, so it does not depend on which other plants are drawn. Plants that differ
+    only in the sampling time are samplings of the same plant.
 
     Parameters
     ----------
     seed : int
         At least 0.
     count : int
-        How many for each combination, at least 1.
+        The number for each combination, at least 1.
     n, p, q : tuple of int
         Orders, numbers of outputs and numbers of inputs; every combination is drawn.
     radius : tuple of two floats
@@ -101,12 +101,12 @@ class RandomPlants:
     sampling : tuple of float
         Seconds from sample to sample, each positive; needed with ``growth``, and empty without.
     hidden : int
-        How many of the n modes are hidden, fewer than the least n.
+        The number of hidden modes, fewer than the least n.
     conditioning : float
         Largest condition number of the coordinates, at least 1.
     output_decades, input_decades : float
-        Each output, and each input, is in a unit of its own: its row of H, or column of G, is multiplied by ten to a
-        power that is uniform between minus and plus this.
+        Each output and input has its own unit: its row of H or column of G is multiplied by ten to a power that is
+        uniform between minus and plus this.
 
     Raises
     ------
@@ -142,7 +142,7 @@ class RandomPlants:
         for name in ("n", "p", "q"):
             sizes = getattr(self, name)
             if not sizes:
-                raise InputError(f"{name} must have a size at least, got none")
+                raise InputError(f"{name} must have at least one size, got none")
             for size in sizes:
                 integer(name, size, 1)
             if len(set(sizes)) < len(sizes):
@@ -158,7 +158,7 @@ class RandomPlants:
             and high - low < np.inf
         ):
             at_least = "positive and " if name == "radius" else ""
-            raise InputError(f"{name} must be two numbers, {at_least}not falling, got {describe([low, high])}")
+            raise InputError(f"{name} must be two numbers, {at_least}in ascending order, got {describe([low, high])}")
         for time in self.sampling:
             positive("sampling", time)
         if bool(self.sampling) == (self.growth is None):
@@ -168,7 +168,7 @@ class RandomPlants:
                 raise InputError(f"{name} must be a number of at least {least:g}, got {describe(getattr(self, name))}")
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of plants."""
         return self.count * len(self._combinations) * max(1, len(self.sampling))
 
     @cached_property
@@ -184,12 +184,12 @@ class RandomPlants:
         return combination, self.sampling[time] if self.sampling else 0.0, j
 
     def errors(self, i: int) -> SeedSequence:
-        """Return where the errors of plant i's sensors come from."""
+        """Return the seed of the errors of plant i's sensors."""
         combination, _, j = self._where(i)
         return SeedSequence(self.seed, spawn_key=(combination, j, 0))
 
     def sizes(self) -> set[tuple[int, int, int]]:
-        """Return p, q and the bound of every plant that there is."""
+        """Return p, q and the bound of every plant."""
         return {(p, q, _bound(n, p)) for n, p, q in self._combinations}
 
     def labels(self) -> list[str]:
@@ -200,7 +200,7 @@ class RandomPlants:
         """Return plant i; InputError if there is none, or it leaves the range of float64 within a sample."""
         combination, h, j = self._where(i)
         n, p, q = self._combinations[combination]
-        # The child that SeedSequence(seed).spawn gives to the combination, and that one's j-th.
+        # The combination's child of SeedSequence(seed).spawn, and the j-th child of that.
         rng = default_rng(SeedSequence(self.seed, spawn_key=(combination, j)))
         F, G, H = self._hiding(rng, *self._core(rng, n - self.hidden, p, q))
         F, G, H = _in_coordinates(rng, F, G, H, self.conditioning)
@@ -243,11 +243,11 @@ class BenchmarkPlants:
     Parameters
     ----------
     names : tuple of str
-        Which; all up to order ten where it is empty.
+        The names; if empty, all up to order ten.
     sampling : tuple of float
-        Seconds from sample to sample; every plant is sampled with each.
+        Seconds between samples; every plant is sampled with each.
     seed : int
-        Where the errors of their sensors come from.
+        The seed of their sensors' errors.
 
     Examples
     --------
@@ -263,7 +263,7 @@ class BenchmarkPlants:
         for name in self.names:
             benchmark(name)
         if not self.sampling:
-            raise InputError("sampling must have a time at least, got none")
+            raise InputError("sampling must have at least one time, got none")
         for time in self.sampling:
             positive("sampling", time)
 
@@ -272,7 +272,7 @@ class BenchmarkPlants:
         return self.names or names(10, "compleib")
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of plants."""
         return len(self._each) * len(self.sampling)
 
     def _where(self, i: int) -> tuple[str, float]:
@@ -282,15 +282,15 @@ class BenchmarkPlants:
         return self._each[of], self.sampling[time]
 
     def errors(self, i: int) -> SeedSequence:
-        """Return where the errors of plant i's sensors come from."""
+        """Return the seed of the errors of plant i's sensors."""
         return SeedSequence(self.seed, spawn_key=(i // len(self.sampling), 0))
 
     def sizes(self) -> set[tuple[int, int, int]]:
-        """Return p, q and the bound of every plant that there is."""
+        """Return p, q and the bound of every plant."""
         return {self.draw(i).size[1:] for i in range(len(self))}
 
     def labels(self) -> list[str]:
-        """Return each plant's name, with its sampling time where there are several."""
+        """Return each plant's name, with its sampling time if there are several."""
         several = len(self.sampling) > 1
         return [f"{name} at {h:g} s" if several else name for name, h in map(self._where, range(len(self)))]
 
@@ -303,7 +303,7 @@ class BenchmarkPlants:
 
 
 def _bound(n: int, p: int) -> int:
-    """Return the observability index of almost every plant of order n with p outputs."""
+    """Return the generic observability index of plants of order n with p outputs."""
     return -(-n // p)
 
 

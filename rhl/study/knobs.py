@@ -1,4 +1,4 @@
-"""What to turn where a run disappoints: each remedy tried on many plants that show the symptom."""
+"""Remedies for symptoms of a run: each one is tested on many plants that show the symptom."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.study.ensembles import RandomPlants
 
-# At rest are outputs whose last twenty are below this share of the largest of y(0); with noise, below three deviations.
+# Outputs are at rest if the last twenty are below this share of the largest of y(0), or three deviations of noise.
 _REST, _LAST, _DEVIATIONS = 0.05, 20, 3.0
-# The share of y(0) by which sensors err, where a knob is about that.
+# The sensor errors relative to y(0), for remedies against noise.
 _NOISE = 0.01
 
 
@@ -36,7 +36,7 @@ class Plants:
 
     @classmethod
     def drawn(cls, ensemble: RandomPlants) -> Plants:
-        """Take all plants of an ensemble, which must have one size."""
+        """Collect all plants of an ensemble, which must have one size."""
         every = [ensemble.draw(i) for i in range(len(ensemble))]
         F, G, H, z0 = (np.stack([getattr(one, name) for one in every]) for name in ("F", "G", "H", "z0"))
         first = np.max(np.abs(np.einsum("...pn,...n->...p", H, z0)), axis=-1)
@@ -50,30 +50,30 @@ class Plants:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """How runs went: the largest output relative to y(0), and whether they ended at rest."""
+    """The outcome of runs: the largest output relative to y(0), and whether they ended at rest."""
 
     peak: Array
     at_rest: np.ndarray
 
 
-# What a scheme is made of, and what errs between it and the plants.
+# A scheme, and the disturbances between it and the plants.
 Setting = Callable[[Plants], tuple[Scheme, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
 class Knob:
-    """A remedy: which runs it is for, how they are set up, and what is turned.
+    """A remedy: its symptom, the setting of the runs, and the changed setting.
 
     Attributes
     ----------
     symptom, turn : str
-        In words; ``turn`` names the key of the file.
+        Descriptions; ``turn`` names the changed key of the file.
     start, turned : callable
-        Plants to a scheme and the keywords of ``simulate``.
+        Functions from plants to a scheme and the keywords of ``simulate``.
     shows : callable
-        From an outcome, which members show the symptom; those that no longer do are mended.
+        From an outcome, the members that show the symptom; those that no longer do count as improved.
     longer : int
-        How many times as many steps the second run takes.
+        The factor by which the second run is longer.
     """
 
     symptom: str
@@ -86,9 +86,9 @@ class Knob:
 
 @dataclass(frozen=True)
 class Tried:
-    """What turning a knob came to: of how many plants, how many showed the symptom, and how many of those not after.
+    """The effect of a remedy: the number of plants, of those with the symptom, and of those without it afterwards.
 
-    ``lower`` is how many had a lower peak, ``ratio`` the geometric mean of the peaks after over those before.
+    ``lower`` counts lower peaks; ``ratio`` is the geometric mean of the peaks after the change over those before.
     """
 
     plants: int
@@ -99,7 +99,7 @@ class Tried:
 
 
 def outcome(plants: Plants, setting: Setting, steps: int) -> Outcome:
-    """Run plants and judge them; a member that diverges has an infinite peak."""
+    """Run plants and evaluate them; a member that diverges has an infinite peak."""
     scheme, errs = setting(plants)
     trace = simulate(scheme, plants.plant, plants.z0, steps, record="signals", **errs)
     size = np.max(np.abs(trace.y), axis=-1)
@@ -110,7 +110,7 @@ def outcome(plants: Plants, setting: Setting, steps: int) -> Outcome:
 
 
 def tried(knob: Knob, plants: Plants, steps: int = 200) -> Tried:
-    """Run plants, and those that show the symptom once more with the knob turned."""
+    """Run plants, and rerun those with the symptom under the changed setting."""
     instance("knob", knob, Knob)
     integer("steps", steps, _LAST)
     before = outcome(plants, knob.start, steps)
@@ -131,7 +131,7 @@ def _default(plants: Plants, more: int = 0, **settings: Any) -> Scheme:
 
 
 def rough(error: float, seed: int = 0) -> Setting:
-    """Return the setting that begins from a model whose matrices are off by ``error`` in each entry, relative."""
+    """Return the setting that starts from a model with a relative error ``error`` in each entry of its matrices."""
 
     def begin(plants: Plants) -> tuple[Scheme, dict[str, Any]]:
         rng, models = np.random.default_rng(seed), []

@@ -1,6 +1,6 @@
-"""The full comparison, which takes too long for a page: twenty seeds, three levels of noise, inputs free and bounded.
+"""The full comparison, too long for a page: twenty seeds, three noise levels, with and without input bounds.
 
-Made in about a quarter of an hour by the following::
+These commands make it in about a quarter of an hour::
 
     rhl compare --seeds 20 --noise 0 --noise 0.01 --noise 0.05 --output free.csv
     rhl compare --seeds 20 --noise 0 --noise 0.01 --noise 0.05 --bounded --output bounded.csv
@@ -21,7 +21,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Cell:
-    """How one method did on one plant over its seeds.
+    """The results of one method on one plant over its seeds.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class Cell:
     bounded : bool
         Whether inputs were at most three times those of the regulator that knows the plant.
     runs, at_rest, low_peak : int
-        How many runs there are, how many ended at rest, and how many of these had a peak below 100.
+        The number of runs, of those at rest at the end, and of those of them with a peak below 100.
     peak, cost : float
-        Medians over the runs, of three digits; infinite where half of them diverged.
+        Medians over the runs, with three digits; infinite if half of them diverged.
     """
 
     plant: str
@@ -48,7 +48,7 @@ class Cell:
 
 
 def recorded() -> tuple[Cell, ...]:
-    """Return the full comparison as it was computed once, plant after plant.
+    """Return the stored full comparison, plant by plant.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What one would use instead: a regulator that knows the plant, and one that excites, identifies and regulates."""
+"""Alternatives to the scheme: a regulator that knows the plant, and one that excites, identifies and regulates."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from rhl.lifting import DelayLifting, remember
 from rhl.model import SignalModel
 from rhl.plants.linear import LinearPlant
 
-# A direction of the data counts where its singular value exceeds this share of the largest.
+# A direction of the data counts if its singular value exceeds this share of the largest.
 _RANK_RTOL = 1e-9
-# Steps that the identified regulator looks ahead; for slower modes it makes no difference that matters here.
+# The horizon of the identified regulator; for slower modes it makes no relevant difference here.
 _AHEAD = 300
-# With noise, predictors look so many times further back, so that errors average out.
+# With noise, predictors use this many times more past data, so that errors average out.
 _FURTHER_BACK = 3
-# With noise a model is fitted to so many equations for each of its unknowns.
+# With noise a model is fitted to this many equations for each of its unknowns.
 _EQUATIONS = 10
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    r"""A plant to be brought to rest, what a method is told of it, and what errs.
+    r"""A plant to be brought to rest, what a method knows about it, and its errors.
 
-    A method is told the sizes of y and v, ``order``, the weights, ``size``, ``noise`` and ``bound``; it sees
-    y + ``errors`` and knows what the actuator let through. Only ``known_plant`` looks at the plant.
+    A method knows the sizes of y and v, ``order``, the weights, ``size``, ``noise`` and ``bound``. It measures
+    y + ``errors`` and knows the input after the actuator. Only ``known_plant`` uses the plant.
 
     Attributes
     ----------
@@ -40,17 +40,17 @@ class Task:
         An upper bound on the observability index.
     steps : int
     W, R : array, shapes (p, p) and (q, q)
-        What all are judged by, :math:`\sum_k |y(k)|_W^2 + |v(k)|_R^2`, see ``weights``.
+        The weights of the cost for all methods, :math:`\sum_k |y(k)|_W^2 + |v(k)|_R^2`, see ``weights``.
     noise : float
         Standard deviation of the errors, relative to the sizes in which W counts outputs.
     errors : array, shape (steps, p)
         Errors of the sensor.
     bound : array, shape (q,), or None
-        No input may be larger than that.
+        The largest absolute value of each input.
     seed : int
-        Of what a method draws; the errors come from another stream of the same seed.
+        The seed of a method's random numbers; the errors use another stream of the same seed.
     size : float
-        Of the inputs that excite.
+        The standard deviation of exciting inputs.
     """
 
     plant: LinearPlant
@@ -67,28 +67,28 @@ class Task:
 
     @property
     def output_sizes(self) -> Array:
-        """In which outputs count, shape (p,)."""
+        """The sizes by which outputs are scaled, shape (p,)."""
         return np.diag(self.W) ** -0.5
 
     @property
     def stacked(self) -> int:
-        """How many outputs and inputs a predictor takes that averages: ``order``, with noise three times that."""
+        """The number of outputs and inputs in a predictor: ``order``, with noise three times that to average."""
         return _FURTHER_BACK * self.order if self.noise else self.order
 
     def rng(self) -> np.random.Generator:
-        """Return the generator of what a method draws."""
+        """Return the generator of a method's random numbers."""
         return np.random.default_rng(np.random.SeedSequence([self.seed, 1]))
 
     def within(self, v: Array) -> Array:
-        """Return what the actuator lets through."""
+        """Return the input after the actuator."""
         return v if self.bound is None else np.clip(v, -self.bound, self.bound)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run: outputs y without the sensor's errors, shape (steps, p), and inputs v as applied, shape (steps, q).
+    """A run: outputs y without the sensor's errors, shape (steps, p), and applied inputs v, shape (steps, q).
 
-    ``wanted`` is the number of steps asked for; fewer rows say that an output passed 1e100 then.
+    ``wanted`` is the requested number of steps; fewer rows mean that an output exceeded 1e100.
     """
 
     y: Array
@@ -111,20 +111,20 @@ def pose(
     Parameters
     ----------
     plant : LinearPlant
-        Of one run, not a batch.
+        A single plant, not a batch.
     z0 : array_like, shape (n,)
-        Initial state, from which y(0) is not zero.
+        Initial state with nonzero y(0).
     order : int
         An upper bound on the observability index.
     steps : int
     noise : float
-        Standard deviation of normal errors of each output, relative to that output's first size; where that is zero,
-        to the largest of the others. In [0, 1).
+        Standard deviation of normal errors of each output, relative to that output's first size or, if
+        that is zero, to the largest of the others. In [0, 1).
     bounded : float, optional
-        The bound on each input, as a multiple of the largest that the regulator which knows the plant would use; for
-        inputs that it leaves at zero, of the largest of the others. None: inputs are free.
+        The bound on each input, as a multiple of the largest one of the regulator that knows the plant; for
+        inputs that it does not use, of the largest of the others. None: no bounds.
     seed : int
-        Of the errors and of what a method draws.
+        The seed of the errors and of a method's random numbers.
 
     Raises
     ------
@@ -153,16 +153,16 @@ def pose(
 
 
 def weights(plant: LinearPlant, y0: Array, order: int) -> tuple[Array, Array]:
-    r"""Return the cost that all are judged by, :math:`\sum_k |y(k)|_W^2 + |v(k)|_R^2`, as W (p, p) and R (q, q).
+    r"""Return the cost of all methods, :math:`\sum_k |y(k)|_W^2 + |v(k)|_R^2`, as W (p, p) and R (q, q).
 
-    Outputs count in their first sizes; those that are zero then, in the largest of the others. An input counts 1e-4 of
-    what it moves outputs by within ``order`` steps, in these sizes.
+    Outputs are scaled by their first sizes or, if these are zero, by the largest of the others. The weight of an input
+    is 1e-4 of its scaled effect on outputs within ``order`` steps.
     """
     size = np.where(np.abs(y0) > 0, np.abs(y0), np.max(np.abs(y0)))
     if not np.all((size > 1e-100) & (size < 1e100)):
         raise InputError(
-            "y(0) must not be zero, and lie between 1e-100 and 1e100, since outputs count in its sizes, got "
-            f"{np.max(np.abs(y0)):.3g}; begin from another z0"
+            "y(0) must be nonzero and between 1e-100 and 1e100, since outputs are scaled by its sizes, got "
+            f"{np.max(np.abs(y0)):.3g}; choose another z0"
         )
     effect, moved = np.zeros((plant.p, plant.q)), plant.G
     for _ in range(order):
@@ -173,9 +173,9 @@ def weights(plant: LinearPlant, y0: Array, order: int) -> tuple[Array, Array]:
 
 
 def known_plant(task: Task) -> Run:
-    """Run the regulator that knows plant, state and how many steps there are: where inputs are free, none cost less.
+    """Run the regulator that knows plant, state and number of steps: without bounds its cost is the least.
 
-    Under bounds its inputs are clipped, which is then no longer the best that could be done.
+    Under bounds its inputs are clipped, and its cost is no longer the least.
     """
     plant = task.plant
     K = regulator(plant.F, plant.G, np.sqrt(task.W) @ plant.H, task.R, task.steps)
@@ -185,9 +185,9 @@ def known_plant(task: Task) -> Run:
 def excite_identify_regulate(task: Task) -> Run:
     """Excite at random until the data suffice, fit a model of the lifted signals, and regulate with it.
 
-    Of the plant it uses what the scheme uses: outputs, inputs and ``order``, how many of each are stacked. Inputs of
-    the first part are normal with standard deviation ``task.size``. Data suffice where their rank has stopped rising
-    and there are more rows than that; with noise, where there are ten rows for each unknown of a row of the model.
+    It uses the same information as the scheme: outputs, inputs and ``order``, the number of each that is stacked.
+    Exciting inputs are normal with standard deviation ``task.size``. Data suffice if their rank no longer increases and
+    there are more rows than that; with noise, if there are ten rows for each unknown of a row of the model.
     """
     m, rng = task.order, task.rng()
     p, q, W, R = task.plant.p, task.plant.q, task.W, task.R
@@ -225,7 +225,7 @@ def excite_identify_regulate(task: Task) -> Run:
 
 
 def regulator(A: Array, B: Array, seen: Array, R: Array, steps: int) -> Array:
-    """Return the gains that make the sum of |seen z|^2 + |v|_R^2 over the steps least, shape (..., steps, q, n)."""
+    """Return the gains that minimise the sum of |seen z|^2 + |v|_R^2 over the steps, shape (..., steps, q, n)."""
     n = A.shape[-1]
     triangle = np.zeros((n, n))
     factored = np.linalg.qr(seen, mode="r")
@@ -234,9 +234,9 @@ def regulator(A: Array, B: Array, seen: Array, R: Array, steps: int) -> Array:
 
 
 def closed(task: Task, choose: Callable[[int, Array, Array, Array], Array]) -> Run:
-    """Close the loop with ``choose(k, y, before, z)``: y with its error, the input applied before, and the state.
+    """Close the loop with ``choose(k, y, before, z)``: the measured y, the previous applied input, and the state.
 
-    The run ends before an output passes 1e100 or an input leaves the range of floating-point numbers.
+    The run ends before an output exceeds 1e100 or an input leaves the range of floating-point numbers.
     """
     plant, z, outputs, inputs = task.plant, task.z0, [], []
     v = np.zeros(plant.q)

@@ -1,4 +1,4 @@
-"""The campaigns whose results come with the library: their configurations, and what is kept of what came out."""
+"""The campaigns whose results come with the library: their configurations and condensed results."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CAMPAIGNS = ("random", "settings", "units", "hidden", "noise", "bounded", "sampled", "benchmarks")
-# So many plants of each campaign are kept one by one, spread over all of them.
+# The number of plants of each campaign that are kept individually, spread over all of them.
 _KEPT = 12
-# Parts are summed up where there are no more schemes than these.
+# Parts are summarised if there are at most this many schemes.
 _FEW = 2
 
 
@@ -28,29 +28,29 @@ def configuration(name: str) -> str:
 
 
 def numbers() -> dict[str, Any]:
-    """Return what came out, by campaign, each as ``condense`` returns it."""
+    """Return the condensed results of each campaign, in the form of ``condense``."""
     text = files("rhl").joinpath("study", "data", "many_plants.json").read_text(encoding="utf-8")
     found: dict[str, Any] = json.loads(text)
     return found
 
 
 def condense(results: xr.Dataset) -> dict[str, Any]:
-    """Return the few numbers that are kept of a campaign, as JSON can hold them.
+    """Return the condensed results of a campaign as JSON data.
 
     Parameters
     ----------
     results : xarray.Dataset
-        A whole campaign's.
+        The results of a whole campaign.
 
     Returns
     -------
     dict
-        "all": the ``summary``. "by_name", of benchmarks: their names, and under each scheme whether the runs came to
-        rest and their peaks. "by_sampling", of others with several sampling times: summaries of parts. Else, of no more
-        than two schemes, "by_size": the same with n, p and q, "by_radius": with the lower end ``radius`` of an interval
-        of spectral radii (the last has no upper end), and "by_margin": with the lower end ``margin`` of an interval of
-        the lesser of the two margins, of plants with a mode that does not decay. "plants": the numbers of some plants,
-        and their runs as in "by_name". A peak is None where the run diverged.
+        "all": the ``summary``. "by_name", of benchmarks: their names, and for each scheme whether the runs came to
+        rest and their peaks. "by_sampling", of others with several sampling times: summaries of parts. Otherwise, for
+        at most two schemes, "by_size": the same with n, p and q, "by_radius": with the lower end ``radius`` of an
+        interval of spectral radii (the last has no upper end), and "by_margin": with the lower end ``margin`` of an
+        interval of the lesser of the two margins, of plants with a mode that does not decay. "plants": the numbers of
+        some plants, and their runs as in "by_name". A peak is None if the run diverged.
     """
     found: dict[str, Any] = {"all": summary(results)}
     radius, sampling = results.spectral_radius.values, results.sampling.values
@@ -75,8 +75,8 @@ def condense(results: xr.Dataset) -> dict[str, Any]:
 
 
 def _binned(results: xr.Dataset, name: str, values: np.ndarray, ends: np.ndarray) -> list[dict[str, Any]]:
-    """Return summaries of the plants whose finite value lies from one end to the next, or above the last."""
-    # A radius that was drawn as 0.8 may have become a hair less.
+    """Return summaries of the plants with a finite value between consecutive ends, or above the last one."""
+    # Rounding may have decreased a radius that was drawn as 0.8.
     bins = np.searchsorted(ends, values * (1 + 1e-9), side="right") - 1
     members = [np.flatnonzero((bins == i) & np.isfinite(values)) for i in range(len(ends))]
     return [

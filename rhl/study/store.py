@@ -1,4 +1,4 @@
-"""Results of a campaign in a folder: a zarr store that xarray reads, and a marker for each task that is done."""
+"""Results of a campaign in a folder: a zarr store that xarray reads, and a marker for each completed task."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _SOURCES = Path(rhl.__file__).parent
 
 
 def versions() -> dict[str, str]:
-    """Return what results depend on beside the configuration: versions, the library's source, the lock if there is one.
+    """Return what results depend on besides the configuration: versions, the library's source, and a lock file if any.
 
-    The machine is not among it: another processor may round otherwise.
+    The machine is not included, although another processor may round differently.
     """
     found = {"rhl": rhl.__version__, "python": platform.python_version()}
     found |= {name: version(name) for name in ("numpy", "scipy", "numba")}
     digest = hashlib.sha256()
     for path in sorted(_SOURCES.rglob("*.py")):
         inside = path.relative_to(_SOURCES)
-        # What draws, prints and checks claims has no part in a run.
+        # Modules for figures, printing and claims do not affect a run.
         if inside.parts[0] not in ("app", "paper", "plotting.py"):
             digest.update(f"{inside.as_posix()}\n".encode() + path.read_bytes())
     found["source of rhl"] = digest.hexdigest()[:16]
@@ -52,7 +52,7 @@ def versions() -> dict[str, str]:
 
 
 class StoreError(RHLError):
-    """The store takes no more; what is in it stays."""
+    """The store cannot be written; its contents stay."""
 
     def __init__(self, path: Path, error: OSError) -> None:
         full = "; make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
@@ -79,26 +79,26 @@ class Store:
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], campaign: Campaign, configuration: str, settings: Any) -> Store:
-        """Make a new folder, with nothing done.
+        """Create a new folder without completed tasks.
 
-        ``configuration`` is kept as it is, and ``settings``, what JSON can hold, is what ``resume`` compares.
-        InputError if the folder exists or cannot be made. StoreError if it does not take the store.
+        ``configuration`` is stored unchanged, and ``settings``, JSON data, is what ``resume`` compares.
+        InputError if the folder exists or cannot be created. StoreError if the store cannot be written.
         """
         folder = Path(path)
         try:
             folder.mkdir()
         except FileExistsError:
             raise InputError(
-                f"--output must name a new folder, got {shown(path)}, which exists; add --resume to go on with it"
+                f"--output must name a new folder, got {shown(path)}, which exists; add --resume to continue it"
             ) from None
         except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or error
-            raise InputError(f"--output must name a folder that can be made, got {shown(path)}: {why}") from None
+            raise InputError(f"--output must name a folder that can be created, got {shown(path)}: {why}") from None
         provenance = {"versions": versions(), "settings": settings, "configuration": configuration}
         try:
             (folder / _MARKERS).mkdir()
             _template(campaign, provenance).to_zarr(folder / _DATA, compute=False, consolidated=True, zarr_format=2)
-            # Last, since what has none is no campaign's folder.
+            # Written last, since a folder without it is not a campaign's.
             (folder / _PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
         except BaseException as error:
             rmtree(folder, ignore_errors=True)
@@ -109,13 +109,13 @@ class Store:
 
     @classmethod
     def resume(cls, path: str | os.PathLike[str], campaign: Campaign, settings: Any) -> Store:
-        """Open a folder to go on; InputError if it is no campaign's, or settings or versions are not those of then."""
+        """Open a folder to continue; InputError if it is not a campaign's, or settings or versions have changed."""
         folder = Path(path)
         try:
             before = json.loads((folder / _PROVENANCE).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            why = getattr(error, "strerror", None) or "what is no JSON"
-            anew = "remove the folder and begin anew" if folder.exists() else "leave it out to begin"
+            why = getattr(error, "strerror", None) or "invalid JSON"
+            anew = "remove the folder and start again" if folder.exists() else "leave it out to start"
             raise InputError(
                 f"--resume must find a campaign in {shown(path)}, got {_PROVENANCE}: {why}; {anew}"
             ) from None
@@ -125,8 +125,8 @@ class Store:
         ):
             for name, mine, theirs in _differences(json.loads(json.dumps(now)), then):
                 raise InputError(
-                    f"--resume must find {what} as when the campaign began, got {name} = {describe(mine)} and then "
-                    f"{describe(theirs)}; begin anew in another folder"
+                    f"--resume must find {what} as at the campaign's start, got {name} = {describe(mine)} and then "
+                    f"{describe(theirs)}; start again in another folder"
                 )
         return cls(folder, campaign)
 
@@ -141,7 +141,7 @@ class Store:
         return (plants,) if task.scheme is None else (slice(task.scheme, task.scheme + 1), plants)
 
     def write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
-        """Keep what a task found, then its marker; StoreError if the disk is full.
+        """Store a task's results, then its marker; StoreError if the disk is full.
 
         An interrupt is raised when both are written.
         """
@@ -154,14 +154,14 @@ class Store:
                 self._arrays[name][at] = values.reshape(1, -1) if len(at) == 2 else values
             write_whole(self.path / _MARKERS / task.name, _digest(found))
         except (OSError, InputError) as error:
-            # The one that `write_whole` words is about a file that the user did not name.
+            # The message of `write_whole` would name a file that the user did not name.
             cause = error if isinstance(error, OSError) else error.__cause__
             if not isinstance(cause, OSError):
                 raise
             raise StoreError(self.path, cause) from error
 
     def done(self) -> set[Task]:
-        """Return the tasks that have a marker, and in the store the data that it was written for."""
+        """Return the tasks with a marker whose data in the store match it."""
         return {task for task in self.campaign.tasks() if _undisturbed(self._is_done, task)}
 
     def _is_done(self, task: Task) -> bool:
@@ -172,7 +172,7 @@ class Store:
         names, at = PLANT_VARIABLES if task.scheme is None else RUN_VARIABLES, self._selection(task)
         try:
             return _digest({name: np.asarray(self._arrays[name][at]).reshape(-1) for name in names}) == expected
-        except (OSError, ValueError, RuntimeError):  # a chunk that was cut off does not unpack
+        except (OSError, ValueError, RuntimeError):  # a truncated chunk does not unpack
             return False
 
     def dataset(self) -> xr.Dataset:
@@ -180,7 +180,7 @@ class Store:
         return load(self.path)
 
     def digest(self) -> str:
-        """Return a hash over every variable's bytes, which does not depend on chunks, workers and interruptions."""
+        """Return a hash over every variable's bytes, independent of chunks, workers and interruptions."""
         found = self.dataset()
         return _digest({name: found[name].values for name in (*PLANT_VARIABLES, *RUN_VARIABLES)})
 
@@ -189,7 +189,7 @@ class Store:
         """Keep other processes from writing into the folder meanwhile; InputError if one does."""
         try:
             import fcntl
-        except ImportError:  # a system without such locks
+        except ImportError:  # a system without file locks
             yield
             return
         with (self.path / _LOCK).open("a") as file:
@@ -198,7 +198,7 @@ class Store:
             except OSError:
                 raise InputError(
                     f"--output must name a folder that no other campaign writes into, got {shown(self.path)}; "
-                    "wait until it has ended"
+                    "wait until it ends"
                 ) from None
             yield
 
@@ -206,7 +206,7 @@ class Store:
 def load(path: str | os.PathLike[str]) -> xr.Dataset:
     """Return the results in a campaign's folder as an xarray.Dataset, in memory.
 
-    Dimensions are scheme and plant. Where a task is not done, floats are NaN and integers zero.
+    Dimensions are scheme and plant. For incomplete tasks, floats are NaN and integers zero.
     """
     import xarray as xr
 
@@ -246,13 +246,13 @@ def _template(campaign: Campaign, provenance: dict[str, Any]) -> xr.Dataset:
 
 
 def _undisturbed(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function in a thread, where Ctrl-C does not reach it: zarr complains at exit of what was cut off."""
+    """Call a function in a thread, where Ctrl-C does not reach it: zarr reports interrupted calls at exit."""
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(function, *arguments).result()
 
 
 def _differences(now: Any, then: Any, name: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield where two settings differ: the key, and both values."""
+    """Yield the differences of two settings: the key and both values."""
     if isinstance(now, dict) and isinstance(then, dict):
         for key in {**now, **then}:
             yield from _differences(now.get(key), then.get(key), f"{name}.{key}" if name else key)

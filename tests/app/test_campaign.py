@@ -72,9 +72,7 @@ def test_a_campaign(folder, capsys):
     assert found.attrs["configuration"] == GOOD
     # Once more: refused without --resume, and all done with it.
     assert main(["campaign", "c.toml", "--output", "a"]) == 2
-    assert (
-        said(capsys)[1] == "rhl: --output must name a new folder, got a, which exists; add --resume to go on with it\n"
-    )
+    assert said(capsys)[1] == "rhl: --output must name a new folder, got a, which exists; add --resume to continue it\n"
     assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
     assert said(capsys)[0] == out
 
@@ -150,8 +148,8 @@ def test_other_seeds(folder, capsys):
     assert found[0] != found[1]
     assert main(["campaign", "c.toml", "--output", "a1", "--resume"]) == 2
     assert said(capsys)[1] == (
-        "rhl: --resume must find the configuration as when the campaign began, got seed = 2 and then 1; "
-        "begin anew in another folder\n"
+        "rhl: --resume must find the configuration as at the campaign's start, got seed = 2 and then 1; "
+        "start again in another folder\n"
     )
 
 
@@ -221,13 +219,13 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
             "n = [2, 0]",
             "plants.n must be an integer from 1 to 100, the order, or a list of such, got [2, 0]",
         ),
-        ("n = [2, 3]", "n = []", "plants.n must have a size at least, got none"),
+        ("n = [2, 3]", "n = []", "plants.n must have at least one size, got none"),
         ("n = [2, 3]", "hidden = 4", "plants.hidden must be below the least n, 4, got 4"),
         ("n = [2, 3]", "radius = [1]", "plants.radius must be a list of two numbers, got 1"),
         (
             "n = [2, 3]",
             "radius = [1, 0.5]",
-            "plants.radius must be two numbers, positive and not falling, got [1.0, 0.5]",
+            "plants.radius must be two numbers, positive and in ascending order, got [1.0, 0.5]",
         ),
         ("n = [2, 3]", "conditioning = 0.1", "plants.conditioning must be a number of at least 1, got 0.1"),
         (
@@ -247,7 +245,7 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
             "schemes[1].order is not a known key; expected one of base, label, order_factor",
         ),
         ("R = [1e-4, 1]", "order_factor = 0", "schemes[1].order_factor must be a number from 1 to 100"),
-        ("R = [1e-4, 1]", "R = [1, 1]", "schemes must have labels that differ, got 'default, R = 1' twice"),
+        ("R = [1e-4, 1]", "R = [1, 1]", "schemes must have distinct labels, got 'default, R = 1' twice"),
         ('"window"', '"windows"', 'schemes[2].base must be "default" or "window"'),
         ('"window"', '"window"\ninputs = 1', 'schemes[2].inputs must be left out where base is "window", got 1.0'),
         (
@@ -307,7 +305,7 @@ def test_an_empty_list_of_schemes():
         (["c.toml", "--output", "."], "--output must name a new folder, got ., which exists"),
         (
             ["c.toml", "--output", "no/a"],
-            "--output must name a folder that can be made, got no/a: No such file or directory",
+            "--output must name a folder that can be created, got no/a: No such file or directory",
         ),
     ],
 )

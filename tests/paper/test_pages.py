@@ -65,7 +65,7 @@ def test_numbers_told_are_plain():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, float("nan")])
 def test_no_page_says_nan(value):
-    with pytest.raises(InputError, match="a must be finite to be told"):
+    with pytest.raises(InputError, match="a must be finite to appear"):
         tell(a=value)
 
 

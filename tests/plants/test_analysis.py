@@ -113,7 +113,7 @@ def test_rough_model_refuses():
     with pytest.raises(InputError, match=r"must be a LinearPlant, got RobotArm; pass rhl.plants.analysis.linearise"):
         rough_model(RobotArm(), 1, 1)
     assert rough_model(linearise(RobotArm()), 1, 1).n == 3
-    with pytest.raises(InputError, match="H must not be zero, got outputs that see nothing"):
+    with pytest.raises(InputError, match="H must not be zero, got outputs that are always zero"):
         rough_model(LinearPlant(plant.F, plant.G, 0 * plant.H), 3, 3)
     batch = LinearPlant(np.stack([plant.F] * 2), plant.G, plant.H)
     with pytest.raises(InputError, match=r"must be single matrices, got shapes \(2, 3, 3\)"):
@@ -257,7 +257,7 @@ def test_linearise_keeps_linear_plants():
 
 
 def test_linearise_refuses():
-    sentence = "^z with v must be an equilibrium, where a step leaves z as it is, got a step that moves z by 0.765"
+    sentence = "^z with v must be an equilibrium, where a step leaves z unchanged, got a step that moves z by 0.765"
     with pytest.raises(InputError, match=sentence):
         linearise(RobotArm(), [1.0, 0.0, 0.0])
     with pytest.raises(InputError, match=r"z must have shape \(3,\), got \(2,\)"):

@@ -101,7 +101,10 @@ def complex_system(kind):
 @pytest.mark.parametrize(
     ("system", "sentence"),
     [
-        (0.5, "system must be a control.StateSpace or a control.TransferFunction, got float; a plant of another"),
+        (
+            0.5,
+            "system must be a control.StateSpace or a control.TransferFunction, got float; use rhl.plants",
+        ),
         (control.tf([1], [1, 1]), r"in discrete time .* got dt=0; give .*from_control\(system, sampling=Ts\)$"),
         (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0), r"got dt=0; .*sampling=Ts\)$"),
         (control.ss([[1.0]], [[1.0]], [[1.0]], [[0.0]], None), "got dt=None; say dt=True when making it"),
@@ -195,7 +198,7 @@ def test_a_state_space_is_sampled_in_its_own_state():
         (control.tf([1], [1, 1]), 0, "sampling must be a positive finite number, got 0"),
         (control.tf([1], [1, 1]), "fast", "sampling must be a positive finite number, got 'fast'"),
         (control.tf([1], [1, -1]), 1e6, "sampling must be short enough .*got 1e.06"),
-        (control.tf([1, 0], [1, 1]), 0.1, "strictly proper .* got degree 1 over 1 .*; model the lag .*1 more of"),
+        (control.tf([1, 0], [1, 1]), 0.1, "strictly proper .* got degree 1 over 1 .*; model the lag .*1 more poles"),
         (control.ss([[1.0]], [[1.0]], [[1.0]], [[2.0]]), 0.1, "D = 0 .* got a feedthrough; model the lag"),
     ],
 )
@@ -344,7 +347,7 @@ def add_in_place(z, v):
         (lambda z, v: None, whole, r"transition\(z, v\) must return .* of real numbers, got None; return np.array"),
         (lambda z, v: z + 0j, whole, r"of real numbers, got array\(\[0\.\+0\.j"),
         (lambda z, v: "ab", whole, "of real numbers, got 'ab'"),
-        (lambda z, v: [1.0, [2.0]], whole, r"got \[1\.0, \[2\.0\]\], which is no rectangular array"),
+        (lambda z, v: [1.0, [2.0]], whole, r"got \[1\.0, \[2\.0\]\], which is not a rectangular array"),
         (
             lambda z, v: z / 0.0 * v,
             whole,

@@ -186,8 +186,8 @@ def test_facts():
         ({"chunk": 0}, "chunk must be an integer of at least 1, got 0"),
         ({"noise": -1.0}, "noise must be a number of at least 0, got -1.0"),
         ({"input_bound": 0.0}, "input_bound must be a positive finite number, got 0.0"),
-        ({"schemes": ()}, "schemes must have one at least, got none"),
-        ({"schemes": (Choice("a"), Choice("a"))}, "schemes must have labels that differ, got 'a' twice"),
+        ({"schemes": ()}, "schemes must have at least one entry, got none"),
+        ({"schemes": (Choice("a"), Choice("a"))}, "schemes must have distinct labels, got 'a' twice"),
         ({"schemes": ("default",)}, "schemes must be a Choice, got 'default'"),
     ],
 )

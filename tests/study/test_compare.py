@@ -57,8 +57,8 @@ def test_scores_of_the_default_scheme_have_no_unit():
     ("changes", "sentence"),
     [
         ({"z0": [1.0]}, "z0 must have shape"),
-        ({"z0": [0.0, 1.0]}, r"y\(0\) must not be zero"),
-        ({"z0": [1e-180, 0.0]}, r"y\(0\) must not be zero, and lie between 1e-100 and 1e100, .* got 1e-180"),
+        ({"z0": [0.0, 1.0]}, r"y\(0\) must be nonzero"),
+        ({"z0": [1e-180, 0.0]}, r"y\(0\) must be nonzero and between 1e-100 and 1e100, .* got 1e-180"),
         ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
         ({"order": 0}, "order must be an integer"),
         ({"steps": 5}, "steps must be an integer of at least 20"),

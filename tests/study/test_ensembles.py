@@ -115,13 +115,13 @@ def test_benchmarks():
     ("settings", "sentence"),
     [
         ({"count": 0}, "count must be an integer of at least 1, got 0"),
-        ({"n": ()}, "n must have a size at least, got none"),
+        ({"n": ()}, "n must have at least one size, got none"),
         ({"p": (1, 1)}, "p must have each size once, got"),
         ({"q": (0,)}, "q must be an integer of at least 1, got 0"),
         ({"hidden": 4}, "hidden must be below the least n, 4, got 4"),
-        ({"radius": (1.2, 0.5)}, "radius must be two numbers, positive and not falling, got"),
+        ({"radius": (1.2, 0.5)}, "radius must be two numbers, positive and in ascending order, got"),
         ({"radius": (0.0, 0.5)}, "radius must be two numbers, positive"),
-        ({"growth": (0.0, float("nan")), "sampling": (0.1,)}, "growth must be two numbers, not falling, got"),
+        ({"growth": (0.0, float("nan")), "sampling": (0.1,)}, "growth must be two numbers, in ascending order, got"),
         ({"growth": (0.0, 1.0)}, "sampling must be given with growth and left out without, got one"),
         ({"sampling": (0.1,)}, "sampling must be given with growth and left out without, got one"),
         ({"sampling": (0.0,)}, "sampling must be a positive finite number, got 0.0"),
@@ -142,5 +142,5 @@ def test_plants_that_are_not_there():
     with pytest.raises(InputError, match="benchmark must be one of ac3, "):
         BenchmarkPlants(("ac33",))
     fast = RandomPlants(1, 1, growth=(1e3, 1e3), sampling=(10.0,))
-    with pytest.raises(InputError, match="sampling must be short enough that a sample later the state is in"):
+    with pytest.raises(InputError, match="sampling must be short enough to keep the state in"):
         fast.draw(0)

@@ -47,7 +47,7 @@ def test_weights_have_no_unit():
     (W, R), (W_other, R_other) = (weights(of, of.H @ Z0, 2) for of in (PLANT, other))
     assert np.allclose(1e6 * W_other, W)
     assert np.allclose(50.0**2 * R_other, R)
-    with pytest.raises(InputError, match=r"y\(0\) must not be zero"):
+    with pytest.raises(InputError, match=r"y\(0\) must be nonzero"):
         weights(PLANT, np.zeros(1), 2)
 
 

@@ -168,21 +168,21 @@ def test_no_room_for_a_new_store(tmp_path, monkeypatch):
 def test_folders_that_are_refused(made, tmp_path):
     with pytest.raises(InputError, match=r"--output must name a new folder, got .*, which exists; add --resume"):
         Store.create(made.path, CAMPAIGN, "", {})
-    with pytest.raises(InputError, match=r"--output must name a folder that can be made, got .*: No such file"):
+    with pytest.raises(InputError, match=r"--output must name a folder that can be created, got .*: No such file"):
         Store.create(tmp_path / "no" / "such", CAMPAIGN, "", {})
-    with pytest.raises(InputError, match=r"--resume must find a campaign in .* No such file .*; leave it out to begin"):
+    with pytest.raises(InputError, match=r"--resume must find a campaign in .* No such file .*; leave it out to start"):
         Store.resume(tmp_path / "b", CAMPAIGN, SETTINGS)
-    with pytest.raises(InputError, match=r"--resume must find a campaign in .*; remove the folder and begin anew"):
+    with pytest.raises(InputError, match=r"--resume must find a campaign in .*; remove the folder and start again"):
         Store.resume(tmp_path, CAMPAIGN, SETTINGS)
     (tmp_path / "provenance.json").write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match=r"got provenance\.json: what is no JSON"):
+    with pytest.raises(InputError, match=r"got provenance\.json: invalid JSON"):
         Store.resume(tmp_path, CAMPAIGN, SETTINGS)
 
 
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        (SETTINGS | {"seed": 2}, "the configuration as when the campaign began, got seed = 2 and then 1"),
+        (SETTINGS | {"seed": 2}, "the configuration as at the campaign.s start, got seed = 2 and then 1"),
         (SETTINGS | {"noise": 0.1}, "got noise = 0.1 and then None"),
         ({"schemes": SETTINGS["schemes"]}, "got seed = None and then 1"),
         (SETTINGS | {"schemes": [{"base": "default"}, {"base": "default"}]}, r"got schemes\[2\].base = 'default' and"),
@@ -200,7 +200,7 @@ def test_another_version(made, name):
     provenance = json.loads(path.read_text(encoding="utf-8"))
     provenance["versions"][name] = "0"
     path.write_text(json.dumps(provenance), encoding="utf-8")
-    with pytest.raises(InputError, match=f"the versions as when the campaign began, got {name} = .* and then '0'"):
+    with pytest.raises(InputError, match=f"the versions as at the campaign.s start, got {name} = .* and then '0'"):
         Store.resume(made.path, CAMPAIGN, SETTINGS)
 
 

@@ -1,4 +1,4 @@
-"""Assumptions 2 and 4 and Remark 1: linear predictor maps that commute and are right along the closed loop."""
+"""Assumptions 2 and 4 and Remark 1: linear predictor maps that commute and are accurate along the closed loop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rhl.problems import V1, V2, Predictor
 
 _claim = partial(Claim, page="notebooks/04-assumption-4.ipynb", test="tests/paper/claims/test_assumption_4.py")
 
-# Errors of predictions over a horizon, relative to the initial state, when the predictor is right: rounding.
+# Prediction errors over a horizon, relative to the initial state, for an exact predictor: rounding.
 _RIGHT = 1e-9
 
 
@@ -39,10 +39,10 @@ def _exact(gaps: list[Any], cases: int) -> Evidence:
 
 
 def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Evidence:
-    """(5) in the library against (5) written out, in integers; and whether P_i depends on its last argument.
+    """Compare the library's equation (5) with (5) written out, in integers; and check the last argument of P_i.
 
-    ``extra``: the last argument is u_{i-1+extra}: 1 as printed, 0 as is meant.
-    ``swapped``: write it out with B_l in the place of B_{i-1-l}.
+    ``extra``: the last argument is u_{i-1+extra}: 1 as printed, 0 as intended.
+    ``swapped``: write it out with B_l in place of B_{i-1-l}.
     """
     rng = effort.rng("eq-5")
     gaps = []
@@ -63,9 +63,9 @@ def check_arguments(effort: Effort, extra: int, swapped: bool = False) -> Eviden
 
 
 def check_commuting(effort: Effort, printed: bool = False, nudge: int = 0) -> Evidence:
-    """(7) for powers, in rational numbers.
+    """Check equation (7) for powers, in rational numbers.
 
-    ``printed``: ask for P_{N+1} too. ``nudge``: change one entry of A_2 by that much, so that the maps are no powers.
+    ``printed``: include P_{N+1} too. ``nudge``: change of one entry of A_2, so that the maps are not powers.
     """
     rng = effort.rng("eq-7")
     gaps: list[Fraction | int] = []
@@ -78,12 +78,12 @@ def check_commuting(effort: Effort, printed: bool = False, nudge: int = 0) -> Ev
 
 
 def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
-    """Change one entry of a family of powers and count the families whose change (7) does not show.
+    """Change one entry of a family of powers and count the families for which (7) still holds.
 
     The models have a last state that nothing moves from zero.
 
-    ``everywhere``: change any entry of any map, and look at (7) from all states; otherwise change what the maps say
-    about the last state, and look from states whose last entry is zero.
+    ``everywhere``: change any entry of any map, and test (7) from all states; otherwise change the column of the last
+    state, and test from states whose last entry is zero.
     """
     rng = effort.rng("eq-7.powers")
     unseen = []
@@ -98,7 +98,7 @@ def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
         else:
             maps[0][i][row, int(rng.integers(3)) if everywhere else 2] += 1
         unit = powers(A, B, 1)[0][0]
-        # Linear in x and in the inputs, one at a time: what holds at these holds at all.
+        # Linear in x and in each input, so it is enough to test at these.
         inputs = [np.eye(2 * N, dtype=int)[j].reshape(N, 2) for j in range(2 * N)]
         inputs = [np.concatenate([s, np.zeros((1, 2), dtype=int)]) for s in [*inputs, np.zeros((N, 2), dtype=int)]]
         states = [*(unit if everywhere else unit[:2]), 0 * unit[0]]
@@ -107,10 +107,10 @@ def check_powers(effort: Effort, everywhere: bool = True) -> Evidence:
 
 
 def check_accurate(effort: Effort, last: int, nudge: int = 0) -> Evidence:
-    """(8) for the powers of (A, B) itself, in rational numbers: every e_i must be zero.
+    """Check equation (8) for the powers of (A, B) itself, in rational numbers: every e_i must be zero.
 
-    ``last``: the sum on the right ends at l = i - 1 + last: 1 as printed, which takes A^-1, 0 as is meant.
-    ``nudge``: change one entry of the predictor's A by that much.
+    ``last``: the sum on the right ends at l = i - 1 + last: 1 as printed, which needs A^-1, 0 as intended.
+    ``nudge``: change of one entry of the predictor's A.
     """
     rng = effort.rng("eq-8")
     gaps: list[Fraction | int] = []
@@ -118,7 +118,7 @@ def check_accurate(effort: Effort, last: int, nudge: int = 0) -> Evidence:
         n, N = int(rng.integers(1, 4)), 4
         lower = np.tril(rng.integers(-3, 4, (n, n)), -1) + np.eye(n, dtype=int)
         upper = np.triu(rng.integers(-3, 4, (n, n)), 1) + np.eye(n, dtype=int)
-        # Of determinant one, so that the inverse is in integers too and rounding finds it.
+        # The determinant is one, so the inverse has integer entries and rounding finds it.
         inverse = np.rint(np.linalg.inv(lower @ upper)).astype(int)
         A, back = ((lower @ upper) + 0 * rational(rng, n, n), inverse + 0 * rational(rng, n, n))
         B, x, s = rational(rng, n, 2), rational(rng, n), rational(rng, N + 1, 2)
@@ -157,11 +157,11 @@ def check_error_bound(effort: Effort, approaching: bool = True) -> Evidence:
 
 
 def check_bounded_signals(effort: Effort, growing: bool = False) -> Evidence:
-    """Errors of predictions under the planned inputs, late over early, along closed loops that never come to rest.
+    """Compare late with early prediction errors under the planned inputs, along closed loops that never come to rest.
 
     The loops are those of Lemma 2, with models that approach the plant and terminal states that keep their size.
 
-    ``growing``: let these grow as fast as the models improve.
+    ``growing``: let the signals grow as fast as the models improve.
     """
     rng = effort.rng("remark-1.bounded")
     left: list[float] = []
@@ -176,15 +176,15 @@ def check_bounded_signals(effort: Effort, growing: bool = False) -> Evidence:
         true = stepped(plant, t.x, plan.u)
         errors = np.max(np.abs([plan.x - true, t.now.predict(t.x, plan.u) - true]), axis=(0, -2, -1))
         if np.min(np.linalg.norm(plan.x[:, -10:, 0], axis=-1)) < 1e-3:
-            return Evidence(0, np.nan)  # signals that die out would hide what the errors do
+            return Evidence(0, np.nan)  # decaying signals would hide the behaviour of the errors
         left += (np.max(errors[:, -10:], axis=1) / np.max(errors[:, :10], axis=1)).tolist()
-    return Evidence(len(left), worst_of(left), 1e-5, "the models' errors are 0.7^40 of what they were")
+    return Evidence(len(left), worst_of(left), 1e-5, "the models' errors decrease by the factor 0.7^40")
 
 
 def check_steering(effort: Effort, short: bool = False) -> Evidence:
-    """V2, the least terminal value, for general maps of that rank, and for controllable models with N >= n.
+    """Check that V2 is zero for general maps of full rank, and for controllable models with N >= n.
 
-    ``short``: lower the rank, by maps that leave out one direction, and by a horizon that is too short.
+    ``short``: lower the rank, by maps that miss one direction, and by a short horizon.
     """
     rng = effort.rng("assumption-4c")
     left: list[float] = []
@@ -206,7 +206,7 @@ def check_steering(effort: Effort, short: bool = False) -> Evidence:
 
 
 def check_reachable_end(effort: Effort, mode: float = 0.8) -> Evidence:
-    """V2 along closed loops with V1 whose predictor is right and stabilizable only: its last value over its first.
+    """Compare the last with the first V2 along loops of V1 whose exact predictor is only stabilizable.
 
     ``mode``: eigenvalue of the state that no input reaches.
     """
@@ -224,9 +224,9 @@ def check_reachable_end(effort: Effort, mode: float = 0.8) -> Evidence:
 
 
 def check_out_of_reach(effort: Effort, reached: bool = False) -> Evidence:
-    """Without Assumption 2: along an unstable left eigenvector that B does not see, no input does anything. Exact.
+    """Check exactly that, without Assumption 2, no input acts along an unstable left eigenvector w with w'B = 0.
 
-    ``reached``: let the input in.
+    ``reached``: let the input reach it.
     """
     rng = effort.rng("assumption-2")
     gaps: list[Fraction | int] = []
@@ -246,9 +246,9 @@ def check_out_of_reach(effort: Effort, reached: bool = False) -> Evidence:
 
 
 def check_right_where_it_matters(effort: Effort, third: float = 0.0) -> Evidence:
-    """Errors of half-blind predictors along their own closed loops, provided that they are wrong elsewhere.
+    """Check errors of predictors along their own closed loops that are wrong elsewhere.
 
-    ``third``: initial value of the state that the predictor is wrong about.
+    ``third``: initial value of the state for which the predictor is wrong.
     """
     rng = effort.rng("remark-1")
     plant, predictor = half_blind(rng, effort.cases)
@@ -266,7 +266,7 @@ def check_right_where_it_matters(effort: Effort, third: float = 0.0) -> Evidence
 def check_planned(effort: Effort, right: bool = False) -> Evidence:
     """Two-step predictions of a fixed model: exact under the applied inputs, wrong under the planned ones.
 
-    ``right``: take the plant itself as the model, which is right under all inputs.
+    ``right``: take the plant itself as the model, which is exact under all inputs.
     """
     x0 = effort.rng("remark-1.planned").normal(size=(max(2, effort.cases // 10), 2))
     setting = turning(np.zeros(41), np.zeros((41, 2)), x0)
@@ -281,7 +281,7 @@ def check_planned(effort: Effort, right: bool = False) -> Evidence:
     applied = np.linalg.norm(maps.predict(x[:, :-1], inputs)[:, :-1, 2] - x[:, 2:], axis=-1) / length[:, :-2]
     true_end = setting.plant.step(setting.plant.step(x, u), t.plan.u[..., 1, :])
     planned = np.linalg.norm(t.plan.x[..., 2, :] - true_end, axis=-1) / length
-    # Along some directions of x even a wrong plan is nearly right, so the largest error of each run counts.
+    # Along some directions of x even a wrong plan is accurate, so the largest error of each run counts.
     violation = max(float(np.max(applied)), 0.1 - float(np.min(np.max(planned, axis=1))))
     return Evidence(len(x0), violation, _RIGHT, "rounding of two steps")
 
@@ -291,11 +291,11 @@ CLAIMS: tuple[Claim, ...] = (
         "assumption-2",
         "Assumption 2",
         "ass1",
-        "If (A, B) is not stabilizable, no inputs whatever bring every state to zero: the assumption is needed.",
+        "If (A, B) is not stabilizable, there are states that no inputs bring to zero: the assumption is needed.",
         method="exact arithmetic",
         recorded="holds",
         stated=check_out_of_reach,
-        control=Control("an input that does reach the unstable mode", lambda e: check_out_of_reach(e, reached=True)),
+        control=Control("an input that reaches the unstable mode", lambda e: check_out_of_reach(e, reached=True)),
         kind="hypothesis",
     ),
     _claim(
@@ -303,7 +303,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Assumption 4(a)",
         "ass0",
         "The predictor maps are linear and converge.",
-        reason="A hypothesis. Its linear form is checked by eq-5; that convergence is more than the proofs use, by "
+        reason="A hypothesis. Its linear form is checked by eq-5. The proofs do not need convergence, by "
         "lemma-2.differences.",
         kind="hypothesis",
     ),
@@ -316,9 +316,9 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds-corrected",
         stated=lambda effort: check_arguments(effort, 1),
         corrected=lambda effort: check_arguments(effort, 0),
-        control=Control("B_l in the place of B_{i-1-l}", lambda effort: check_arguments(effort, 0, swapped=True)),
-        reason="P_i is printed with u_i as its last argument; nothing in it depends on u_i, the last is u_{i-1}, as in "
-        "(3).",
+        control=Control("B_l in place of B_{i-1-l}", lambda effort: check_arguments(effort, 0, swapped=True)),
+        reason="P_i is printed with u_i as its last argument, but it does not depend on u_i; the last one is u_{i-1}, "
+        "as in (3).",
         kind="definition",
     ),
     _claim(
@@ -326,8 +326,8 @@ CLAIMS: tuple[Claim, ...] = (
         "Equation 6",
         "p2",
         "The maps A_i(k), B_i(k) have limits.",
-        reason="A hypothesis, and a limit without a rate. Whether the estimator delivers it is theorem-2.i; what the "
-        "proof of Lemma 2 needs in its place, lemma-2.differences.",
+        reason="A hypothesis, and a limit without a rate. Claim theorem-2.i checks whether the estimator satisfies it; "
+        "lemma-2.differences is what the proof of Lemma 2 needs instead.",
         kind="hypothesis",
     ),
     _claim(
@@ -347,15 +347,15 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-7",
         "Equation 7",
         "p4",
-        "Maps that are powers of one model commute, and two of them in a row make the one for all the steps.",
+        "Maps that are powers of one model commute, and two of them in sequence give the map for all their steps.",
         method="exact arithmetic",
         recorded="holds-corrected",
         stated=lambda effort: check_commuting(effort, printed=True),
         corrected=check_commuting,
         control=Control("one entry of A_2 changed", lambda effort: check_commuting(effort, nudge=1)),
-        reason="The range 0 <= i + j <= N + 1 names P_{N+1}, for which there are no maps, and s_N, which is no part of "
-        "the plan. Three equal members up to i + j = N, and the first two up to N + 1 with s_N = 0, are what the proof "
-        "of Lemma 2 uses.",
+        reason="The range 0 <= i + j <= N + 1 includes P_{N+1}, for which there are no maps, and s_N, which is not "
+        "part of the plan. Three equal members up to i + j = N, and the first two up to N + 1 with s_N = 0, are what "
+        "the proof of Lemma 2 uses.",
         kind="hypothesis",
     ),
     _claim(
@@ -381,9 +381,9 @@ CLAIMS: tuple[Claim, ...] = (
         stated=lambda effort: check_accurate(effort, 1),
         corrected=lambda effort: check_accurate(effort, 0),
         control=Control("a predictor of another system", lambda effort: check_accurate(effort, 0, nudge=1)),
-        reason="The sum on the right is to end at i - 1: with l = i it would hold A^-1 B s_i, which need not exist and "
-        "is an error of its own. So is the sum of |s_l|^2 in the bound, where s_i does no harm, but s_N is no part of "
-        "the plan.",
+        reason="The sum on the right should end at i - 1: the term l = i would be A^-1 B s_i, which need not exist and "
+        "is itself an error. The sum of |s_l|^2 in the bound should end there too: s_i is harmless, but s_N is not "
+        "part of the plan.",
         kind="hypothesis",
     ),
     _claim(
@@ -401,7 +401,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-9",
         "Equation 9",
         "stabilizability",
-        "For a stabilizable predictor that is right, the least terminal value goes to zero along the closed loop.",
+        "For an exact and stabilizable predictor, the least terminal value goes to zero along the closed loop.",
         method="simulation",
         recorded="holds",
         stated=check_reachable_end,
@@ -412,7 +412,7 @@ CLAIMS: tuple[Claim, ...] = (
         "remark-1",
         "Remark 1",
         "rk0",
-        "Prediction is not identification: predictors that are right along their closed loop may be wrong elsewhere.",
+        "Prediction is not identification: predictors that are exact along their closed loop may be wrong elsewhere.",
         method="simulation",
         recorded="holds",
         stated=check_right_where_it_matters,
@@ -438,8 +438,8 @@ CLAIMS: tuple[Claim, ...] = (
         "remark-1.planned",
         "Remark 1",
         "rk0",
-        "(8) asks for accuracy under the planned inputs, which is more than accuracy along the closed loop: a model "
-        "may predict every applied step and misjudge its own plan.",
+        "(8) requires accuracy under the planned inputs, which is stronger than accuracy along the closed loop: a "
+        "model may predict every applied step and be wrong along its own plan.",
         method="simulation",
         recorded="holds",
         stated=check_planned,

@@ -1,7 +1,7 @@
-"""Certified numbers: what is proved of the paper's simulations, and of counterexamples, in ball arithmetic.
+"""Certified numbers: statements about the simulations and counterexamples, proved in ball arithmetic.
 
-Exact numbers go in, each rounding enlarges a ball by as much, and a check passes where its statement is true of every
-number in the balls. Nothing is drawn at random, and with too few bits a check fails.
+The inputs are exact, every rounding enlarges a ball accordingly, and a check passes if its statement holds for every
+number in the balls. Nothing is random, and with too few bits a check fails.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _claim = partial(Claim, page=_PAGE, test="tests/paper/claims/test_certified.py",
 
 _FOR_EVER = f"{_PAGE}#loops-that-run-for-ever"
 
-# With these the runs lose all their digits before they end.
+# With these precisions the runs lose all digits before they end.
 TOO_FEW_LINEAR, TOO_FEW_ROBOT = 1600, 3000
-# The first sample of each signal that the three unexplained inputs reach; the arm's signals have none.
+# The first sample of each signal that the three unexplained inputs affect; the arm's signals have none.
 FIRST_MISSED = {"y": 14, "y_hat": 13, "u": 12, "x1": 14, "gamma_over_eps": 12}
-# u(12) as the recipe gives it, to forty digits, and bounds of its distance from the published input.
+# The recipe's u(12) to forty digits, and bounds of its distance from the published input.
 INPUT_12 = "-3.273916699251995115045657834880159709682"
 MISSED_BY = (Fraction("0.0052465670843851"), Fraction("0.0052465670843852"))
-# The three inputs with the published signals fed back, likewise.
+# The same for the three inputs with the published signals fed back.
 FED_MISSED_BY = {
     12: (Fraction("0.00524656708492413"), Fraction("0.00524656708492414")),
     13: (Fraction("0.06626561377475683"), Fraction("0.06626561377475687")),
@@ -39,46 +39,46 @@ FED_MISSED_BY = {
 }
 _FED_MISSES = ", ".join(f"{float(low):.7f}" for low, _ in FED_MISSED_BY.values())
 PROVED_DIGITS = 300
-# What the library's own runs are proved to stay within, over all outputs, inputs and predictions.
+# A proved bound of the library's errors, over all outputs, inputs and predictions.
 FLOAT64 = 1e-12
 LIMIT = "0.0699037402991845996183260179504957087057"
 
 
 @cache
 def linear_run(bits: int = LINEAR_BITS, *, printed: bool = False) -> Enclosure:
-    """Enclose the linear example; ``printed`` with the settings of the text."""
+    """Enclose the linear example; ``printed``: with the settings of the text."""
     return enclose(linear(printed=printed), bits)
 
 
 @cache
 def robot_run(bits: int = ROBOT_BITS, *, printed: bool = False) -> Enclosure:
-    """Enclose the robot arm; ``printed`` with the coefficients of the text."""
+    """Enclose the robot arm; ``printed``: with the coefficients of the text."""
     return enclose(robot(printed=printed), bits)
 
 
 @cache
 def fed_run(bits: int = LINEAR_BITS, *, printed: bool = False) -> Enclosure:
-    """Enclose what the linear example's scheme answers to the published outputs and inputs."""
+    """Enclose the inputs of the linear example's scheme for the published outputs and inputs."""
     y, v = ([decimal(value) for value in published.curve(name)] for name in ("linear_y", "linear_u"))
     return enclose(linear(printed=printed), bits, (y, v))
 
 
 def _false(facts: Sequence[bool]) -> Evidence:
-    """Count the facts that are not proved."""
-    return Evidence(len(facts), float(sum(not fact for fact in facts)), 0.0, "every statement is proved or is not")
+    """Count the facts without a proof."""
+    return Evidence(len(facts), float(sum(not fact for fact in facts)), 0.0, "a statement is either proved or not")
 
 
 def check_linear(effort: Effort, bits: int = LINEAR_BITS) -> Evidence:
-    """Count published samples of the linear example that are not proved to be met, or missed, as ``FIRST_MISSED`` says.
+    """Count published samples of the linear example without a proof that they agree or differ as in ``FIRST_MISSED``.
 
-    ``effort`` is not used, here and below: nothing is drawn. ``bits``: the precision.
+    ``effort`` is not used here and below, since nothing is random. ``bits``: the precision.
     """
     samples = beside_published(linear_run(bits), "linear")
     return _false([of.met is (of.k < FIRST_MISSED[of.signal]) for of in samples])
 
 
 def check_input_12(effort: Effort, *, printed: bool = False) -> Evidence:
-    """Count what is not proved of u(12): forty digits, and the bounds of its distance from the published input.
+    """Count the unproved facts about u(12): forty digits, and the bounds of its distance from the published input.
 
     ``printed``: with eps as the text has it.
     """
@@ -97,9 +97,9 @@ def _within(sample: Sample, ends: tuple[Fraction, Fraction], bits: int) -> bool:
 
 
 def check_fed(effort: Effort, *, printed: bool = False) -> Evidence:
-    """Count published inputs that are not proved to be met where the published signals are fed back, but for three.
+    """Count published inputs without a proof of agreement when the published signals are fed back, except for three.
 
-    Of those three the distances are proved. ``printed``: with eps as the text has it.
+    For these three the distances are proved. ``printed``: with the text's eps.
     """
     run = fed_run(printed=printed)
     samples = beside_published(run, "linear", ("u",))
@@ -109,12 +109,12 @@ def check_fed(effort: Effort, *, printed: bool = False) -> Evidence:
 
 
 def check_robot(effort: Effort, bits: int = ROBOT_BITS) -> Evidence:
-    """Count published samples of the robot arm that are not proved to be met. ``bits``: the precision."""
+    """Count published samples of the robot arm without a proof of agreement. ``bits``: the precision."""
     return _false([of.met is True for of in beside_published(robot_run(bits), "robot")])
 
 
 def check_digits(effort: Effort, linear_bits: int = LINEAR_BITS, robot_bits: int = ROBOT_BITS) -> Evidence:
-    """Count signals' values, of either run, of which fewer than ``PROVED_DIGITS`` digits are proved."""
+    """Count the values of both runs with fewer than ``PROVED_DIGITS`` proved digits."""
     values = []
     for run in (linear_run(linear_bits), robot_run(robot_bits)):
         values += [*run.u, *(entry for rows in (run.y, run.y_hat, run.z) for row in rows for entry in row)]
@@ -124,27 +124,27 @@ def check_digits(effort: Effort, linear_bits: int = LINEAR_BITS, robot_bits: int
 
 
 def check_float64(effort: Effort, moved: float = 0.0) -> Evidence:
-    """Find the largest error of the library's own runs, proved. ``moved``: start the library's runs that far off."""
+    """Bound the largest error of the library's runs. ``moved``: offset of the library's initial states."""
     found = []
     for experiment, run in ((published.linear_example(), linear_run()), (published.robot_arm(), robot_run())):
         found += errors_of(replace(experiment, z0=experiment.z0 + moved).run(), run)
-    return Evidence(len(found), max(error.high for error in found), FLOAT64, "what float64 leaves of sixteen digits")
+    return Evidence(len(found), max(error.high for error in found), FLOAT64, "the accuracy of float64 runs")
 
 
 def check_lemma_4(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
-    """Find how far the limit of Lemma 4's first counterexample may be from the number in the statement."""
+    """Bound the distance of the limit of Lemma 4's first counterexample from the number in the statement."""
     limit = shrinking_limit(ratio, 400, 600)
     with flint().ctx.workprec(600):
-        return Evidence(1, bounds(abs(limit - ball(Fraction(LIMIT))))[1], 1e-40, "the last digit that is written down")
+        return Evidence(1, bounds(abs(limit - ball(Fraction(LIMIT))))[1], 1e-40, "the last digit in the statement")
 
 
-# Unstable plants and initial states; for every other, the inequality that is checked along these is proved.
+# Unstable plants and initial states; for all others the inequality checked along these is proved.
 _SLOPES = (Fraction(101, 100), Fraction(11, 10), Fraction(3, 2))
 _STARTS = (Fraction(1, 1000), Fraction(-1, 10), Fraction(1), Fraction(1000))
 
 
 def check_theorem_1(effort: Effort, gain: Gain = vanishing) -> Evidence:
-    """Count steps at which a state of the scalar loop is not proved to be as large as the divergence needs.
+    """Count steps of the scalar loop without a proof that the state is as large as divergence requires.
 
     ``gain``: the predictor's b(k).
     """
@@ -154,11 +154,11 @@ def check_theorem_1(effort: Effort, gain: Gain = vanishing) -> Evidence:
 
 
 def check_blended(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
-    """Count what is not proved of the loop with forgotten input gains: that x1 tends to 5/26, and how large plans are.
+    """Count the unproved facts about the loop with decaying input gains: that x1 tends to 5/26, and bounds of plans.
 
     ``ratio``: the second input gain's. The facts: every deviation from the limit's recursion is below its bound, and
-    the later bounds add up to little; |x1| stays below 2, and at the end x1 is near 5/26; inputs of plans are below
-    1.25 |x|, those of V2's below 1.42 |x|, at every step that is followed and at all later ones.
+    the sum of later bounds is small; |x1| stays below 2, and at the end x1 is near 5/26; inputs of plans are below
+    1.25 |x|, those of V2's below 1.42 |x|, at every computed step and at all later ones.
     """
     steps, bits = 240, 1500
     loop = blended(steps, bits, ratio)
@@ -180,18 +180,18 @@ CLAIMS: tuple[Claim, ...] = (
         "certified.linear",
         "Figures 2, 4, 5, 6",
         "subfig1",
-        "Of the linear example's published samples the recipe meets to 1e-9, provably, those of y and x1 up to k = 13, "
-        "of y_hat up to 12, of u and Gamma/eps up to 11, and it provably misses all later ones.",
+        "In the linear example, the recipe provably agrees to 1e-9 with the published samples of y and x1 up to "
+        "k = 13, of y_hat up to 12, and of u and Gamma/eps up to 11; it provably differs from all later ones.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_linear,
-        control=Control("1600 bits, which decide too little", lambda effort: check_linear(effort, TOO_FEW_LINEAR)),
+        control=Control("1600 bits, which are too few", lambda effort: check_linear(effort, TOO_FEW_LINEAR)),
     ),
     _claim(
         "certified.linear.input-12",
         "Figure 4",
         "subfig3",
-        f"The recipe's u(12) is {INPUT_12[:24]}..., and {float(MISSED_BY[0]):.7f} away from the published input.",
+        f"The recipe's u(12) is {INPUT_12[:24]}..., which is {float(MISSED_BY[0]):.7f} away from the published input.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_input_12,
@@ -201,8 +201,8 @@ CLAIMS: tuple[Claim, ...] = (
         "certified.linear.fed",
         "Figure 4",
         "subfig3",
-        "With the published outputs and inputs fed back, the recipe's inputs provably meet the published ones to 1e-9, "
-        f"but at k = 12, 13, 14, where they miss by {_FED_MISSES}.",
+        "With the published outputs and inputs fed back, the recipe's inputs provably agree with the published ones to "
+        f"1e-9, except at k = 12, 13, 14, where they differ by {_FED_MISSES}.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_fed,
@@ -212,17 +212,17 @@ CLAIMS: tuple[Claim, ...] = (
         "certified.robot",
         "Figures 7, 8, 9",
         "subfig:state1",
-        "The recipe provably meets every published sample of the robot arm to 1e-9.",
+        "The recipe provably agrees with every published sample of the robot arm to 1e-9.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_robot,
-        control=Control("3000 bits, which decide too little", lambda effort: check_robot(effort, TOO_FEW_ROBOT)),
+        control=Control("3000 bits, which are too few", lambda effort: check_robot(effort, TOO_FEW_ROBOT)),
     ),
     _claim(
         "certified.digits",
         "text",
         "",
-        f"Of every state, output, input, prediction and weight of both runs {PROVED_DIGITS} digits are proved.",
+        f"Every state, output, input, prediction and weight of both runs has {PROVED_DIGITS} proved digits.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_digits,
@@ -239,7 +239,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="ball arithmetic",
         recorded="holds",
         stated=check_float64,
-        control=Control("initial states that are off by 1e-9", lambda effort: check_float64(effort, 1e-9)),
+        control=Control("initial states with an error of 1e-9", lambda effort: check_float64(effort, 1e-9)),
     ),
     _claim(
         "certified.lemma-4",
@@ -249,7 +249,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="ball arithmetic",
         recorded="holds",
         stated=check_lemma_4,
-        control=Control("functions that do not shrink", lambda effort: check_lemma_4(effort, Fraction(1))),
+        control=Control("functions that do not decay", lambda effort: check_lemma_4(effort, Fraction(1))),
         proof=_FOR_EVER,
     ),
     _claim(
@@ -257,7 +257,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 1",
         "MPC1vsMPC3",
         "With N = 1, eps(k) = exp(-k/10) and the predictor ax + b(k)u, b(k) = eps(k) a^-2k / (k+1), the loop of V1 and "
-        "x+ = ax + u diverges, for every a > 1 and every x(0) but 0.",
+        "x+ = ax + u diverges for every a > 1 and every nonzero x(0).",
         method="ball arithmetic",
         recorded="holds",
         stated=check_theorem_1,
@@ -269,7 +269,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 1",
         "MPC1vsMPC3",
         "With A = diag(1.2, 0.5), B = (1, 0), models (1, 2^-k) of B, N = 2, eps(k) = 0.02^k and x(0) = (1, 1) the "
-        "inputs of the plans met stay below 1.25 |x|, and x1 tends to 5/26.",
+        "planned inputs along the loop stay below 1.25 |x|, and x1 tends to 5/26.",
         method="ball arithmetic",
         recorded="holds",
         stated=check_blended,

@@ -1,4 +1,4 @@
-"""Counterexamples whose limits are enclosed: what runs for ever is followed in balls, and bounded from there on."""
+"""Counterexamples with enclosed limits: finitely many steps in ball arithmetic, and bounds for all later ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Gain = Callable[[int, "arb"], "arb"]
 
 
 def between(low: arb, high: arb) -> arb:
-    """Return the smallest ball that holds both."""
+    """Return the smallest ball that contains both."""
     return low.union(high)
 
 
@@ -24,7 +24,7 @@ def shrinking_limit(ratio: Fraction, steps: int, bits: int) -> arb:
     r"""Enclose the limit of (20) for :math:`f(x,k) = \rho^k x^2`, :math:`D = |x-y|^2/2`, from x = 1, in balls.
 
     The limit is the product of all :math:`1/(1+2\rho^k)`. The factors from K = ``steps`` on multiply to at most one,
-    and to at least one minus the sum of :math:`2\rho^k`; where that sum is infinite (``ratio`` 1), to at least zero.
+    and to at least one minus the sum of :math:`2\rho^k`; if that sum is infinite (``ratio`` 1), to at least zero.
     """
     with flint().ctx.workprec(bits):
         x, weight, rho = ball(1), ball(2), ball(ratio)
@@ -36,11 +36,11 @@ def shrinking_limit(ratio: Fraction, steps: int, bits: int) -> arb:
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """Theorem 1's scalar loop in balls: states, and what is proved of them.
+    """Theorem 1's scalar loop in balls: states, and proved facts about them.
 
-    ``x`` (steps + 1): the states. ``kept``: at how many of the steps x(k)^2 is proved to be at least
-    a^2k / (s(1) + 3 (1/2 + ... + 1/k)), for k = 1 equal to it, of ``steps``.
-    ``factor``: by how much that bound grows from the last step to the next, at least, and from all later ones.
+    ``x`` (steps + 1): the states. ``kept``: the number of the ``steps`` with a proof that x(k)^2 is at least
+    a^2k / (s(1) + 3 (1/2 + ... + 1/k)), for k = 1 equal to it.
+    ``factor``: the least growth of that bound from the last step to the next, and from all later ones.
     """
 
     x: tuple[arb, ...]
@@ -68,7 +68,7 @@ def growth(a: Fraction, x0: Fraction, gain: Gain, steps: int, bits: int) -> Grow
     .. math:: s(k+1) = s(k) \Bigl(1 - \frac{t}{1+tb}\Bigr)^{-2} \le s(k)(1-t)^{-2} \le s(k)(1+3t) = s(k) + \frac3{k+1}
 
     as long as :math:`t \le 1/8`; s grows, and :math:`s(1) = (s(0)+1)^2/s(0) \ge 4`, so this holds for k = 1, 2, ... and
-    every x(0) but 0. So x(k)^2 is at least a^2k over something that grows like log k: it diverges for every a > 1.
+    every nonzero x(0). So x(k)^2 is at least a^2k over a sum that grows like log k: it diverges for every a > 1.
     """
     with flint().ctx.workprec(bits):
         slope, x = ball(a), ball(x0)
@@ -83,16 +83,16 @@ def growth(a: Fraction, x0: Fraction, gain: Gain, steps: int, bits: int) -> Grow
             else:
                 bound += ball(Fraction(3, k + 1))
                 kept += bool(x**2 * bound >= slope ** (2 * (k + 1)))
-        # From one step to the next the bound's denominator grows by a part of at most 3 / ((k+1) s(1)).
+        # From one step to the next the bound's denominator grows by a share of at most 3 / ((k+1) s(1)).
         return Growth(tuple(states), kept, steps, slope**2 / (1 + 3 / ((steps + 1) * ball(first))))
 
 
 @dataclass(frozen=True, eq=False)
 class Blended:
-    """The loop whose predictor forgets its second input gain, in balls.
+    """The loop whose predictor's second input gain decays, in balls.
 
     ``x1`` (steps + 1): the first state. ``gap`` (steps): |x1(k+1) - 5/26 + (6/7)(x1(k) - 5/26)|.
-    ``bound`` (steps): what ``gap`` cannot exceed while |x1| <= 2. ``plan``, ``least`` (steps): the sizes of V1's and of
+    ``bound`` (steps): a bound of ``gap`` while |x1| <= 2. ``plan``, ``least`` (steps): the sizes of V1's and of
     V2's solution, over |x|. ``rest``, ``later``: bounds for all later k, of |x1 - 5/26| and of both those sizes.
     """
 
@@ -111,7 +111,7 @@ def blended(steps: int, bits: int, ratio: Fraction = Fraction(1, 2)) -> Blended:
     :math:`\beta = \rho^k` with ``ratio`` :math:`\rho`, N = 2, unit weights, :math:`\epsilon(k) = 0.02^k`, x(0) = (1,1).
     Then :math:`x_2(k) = 2^{-k}`, and with :math:`\rho = 1/2` it is :math:`\beta` itself.
 
-    V1 is to minimise :math:`|A x + B u_0|^2 + |u|^2 + W|Mu + f|^2` over u, with :math:`M = [AB, B]`, :math:`f = A^2x`,
+    V1 minimises :math:`|A x + B u_0|^2 + |u|^2 + W|Mu + f|^2` over u, with :math:`M = [AB, B]`, :math:`f = A^2x`,
     :math:`W = |x|^2/\epsilon`. V2's solution is :math:`\bar u = -M^{-1}f`, and with it
     :math:`x_1^+ - 5/26 = -(6/7)(x_1 - 5/26)`. V1's differs from it by :math:`(W M^\top M + H)^{-1}(H\bar u + g)`, with
     :math:`H = \operatorname{diag}(1+|B|^2, 1)` and :math:`g = (B^\top Ax, 0)`; so by at most
@@ -143,7 +143,8 @@ def blended(steps: int, bits: int, ratio: Fraction = Fraction(1, 2)) -> Blended:
             x1, x2, beta, inverse_epsilon = after, a2 * x2, shrink * beta, inverse_epsilon * 50
             states.append(x1)
         tail = constant / ball(Fraction(25, 8)) ** steps / (1 - ball(Fraction(8, 25)))
-        # Later |x1 - 5/26| is at most what it is now and all that is still to come, and V1's plan within that of V2's.
+        # Later |x1 - 5/26| is at most its present value plus the sum of later bounds, and so is the distance of V1's
+        # plan to V2's.
         rest = abs(x1 - limit) + tail
         x1, off = limit + rest * signs, tail * signs
         u0, u1 = _least(x1, ball(1), ball(1))
@@ -158,7 +159,7 @@ def _least(x1: arb, x2: arb, beta: arb) -> tuple[arb, arb]:
 
 
 def _planned(x1: arb, x2: arb, beta: arb, weight: arb) -> tuple[arb, arb]:
-    """Return V1's solution as V2's less (W M'M + H)^-1 (H u + g), which hardly enlarges the ball of x1."""
+    """Return V1's solution as V2's less (W M'M + H)^-1 (H u + g), a form that hardly enlarges the ball of x1."""
     a1, a2 = ball(Fraction(6, 5)), ball(Fraction(1, 2))
     u0, u1 = _least(x1, x2, beta)
     r0, r1 = (2 + beta**2) * u0 + a1 * x1 + beta * a2 * x2, u1

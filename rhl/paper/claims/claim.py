@@ -1,4 +1,4 @@
-"""What a claim is, how it is judged, and what a verdict means."""
+"""Claims: their definition, their check and their verdict."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Method = Literal["symbolic identity", "exact arithmetic", "ball arithmetic", "nu
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a check may do: the seed of the whole ledger, and how many random cases a check draws that draws any."""
+    """The effort of a check: the seed of the whole ledger, and the number of random cases."""
 
     seed: int = 0
     cases: int = 100
@@ -41,25 +41,25 @@ class Effort:
         integer("cases", self.cases, 1)
 
     def rng(self, name: str) -> np.random.Generator:
-        """Return the generator of one check; it depends on the seed and the name only, not on the order of checks."""
+        """Return the generator of one check; it depends only on the seed and the name, not on the order of checks."""
         return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a check found.
+    """The result of a check.
 
-    Without cases, or with a largest violation of NaN or minus infinity (that of no numbers), it is no evidence, neither
-    for the claim nor against it.
+    Without cases, or with a largest violation of NaN or minus infinity (that of no numbers), it is evidence neither for
+    the claim nor against it.
 
     Attributes
     ----------
     cases : int
-        How many cases were looked at; none is no evidence.
+        The number of checked cases; zero is no evidence.
     worst : float
         The largest violation over all cases; it must not exceed the tolerance. Zero in exact arithmetic.
     tolerance, why : float, str
-        What counts as rounding, and why, in a few words.
+        The largest violation that counts as rounding, and why.
     """
 
     cases: int
@@ -69,12 +69,12 @@ class Evidence:
 
     @property
     def conclusive(self) -> bool:
-        """Whether this is evidence at all."""
+        """Whether the check is conclusive."""
         return self.cases > 0 and self.worst > -math.inf
 
     @property
     def passes(self) -> bool:
-        """Whether the claim was seen to hold."""
+        """Whether the claim held in the check."""
         return self.conclusive and self.worst <= self.tolerance
 
 
@@ -83,10 +83,10 @@ Check = Callable[[Effort], Evidence]
 
 @dataclass(frozen=True)
 class Control:
-    """The same check under other conditions, which shows that it tells true from false.
+    """The same check under other conditions, which shows that it can fail and pass.
 
-    As a claim's ``control`` an assumption is broken, and ``check`` must fail; as its ``instance`` the conditions are
-    such that even a refuted statement holds, and ``check`` must pass. ``what`` completes the sentence "with ...".
+    As a claim's ``control`` an assumption is violated, and ``check`` must fail. As its ``instance`` a refuted statement
+    holds under the conditions, and ``check`` must pass. ``what`` completes the sentence "with ...".
     """
 
     what: str
@@ -95,9 +95,9 @@ class Control:
 
 @dataclass(frozen=True)
 class Claim:
-    """One statement of the paper with everything that belongs to it.
+    """One statement of the paper with its checks and references.
 
-    What says nothing of a method or a verdict cannot be checked. A module of claims fills in page and test once, with
+    A claim without method and verdict cannot be checked. A module of claims sets page and test once, with
     ``functools.partial``.
 
     Attributes
@@ -107,36 +107,35 @@ class Claim:
     item : str
         The paper's name for it: "Lemma 5", "Theorem 2(iii)", "Equation 44", "text".
     label : str
-        The LaTeX label in the paper's source; empty where there is none.
+        The LaTeX label in the paper's source; empty if there is none.
     statement : str
-        In one sentence, in our words.
+        One sentence in our words.
     method : Method
-        How it is checked.
+        The method of the check.
     recorded : Verdict
-        What came out when the claim was entered; ``rhl verify`` fails if something else comes out. "observed": a check
-        that passes is no proof.
+        The verdict when the claim was entered; ``rhl verify`` fails if it changes. "observed": passing the check is
+        not a proof.
     page, test : str
         The page of the book, such as "notebooks/10-lemma-5.ipynb", and the test file, from the root.
     stated, corrected : callable, optional
-        Check the statement as the paper has it, None where it cannot be checked, and the corrected one, where that
-        fails.
+        The check of the paper's statement, None if it cannot be checked, and that of the corrected statement if the
+        first fails.
     control : Control, optional
-        Required wherever there is a check.
+        Required with every check.
     instance : Control, optional
-        Required of a refuted claim, and of no other: a case in which its statement holds, judged by the same check.
+        Required for refuted claims only: a case in which the statement holds, by the same check.
     reason : str
-        What is wrong and what is right, or why it cannot be checked; empty where the claim simply holds.
+        The error and its correction, or why there is no check; empty if the claim holds.
     kind : Kind
-        Whether the paper proves it, assumes it or defines it by it. What is assumed or defined has no proof; a check of
-        it shows an instance, or what follows at once.
+        Whether the paper proves it, assumes it or defines something by it. Assumptions and definitions have no proof;
+        their checks show an instance or a direct consequence.
     uses : tuple of str
-        The ids of the claims that the proof of this one uses, assumptions included; of a corrected claim, the proof of
-        the corrected form.
+        The ids of the claims that its proof uses, including assumptions; for a corrected claim, the proof of the
+        corrected form.
     proof : str
-        Where the book proves it, page and anchor, such as "notebooks/08-theorem-1.ipynb#proof"; empty where it does
-        not.
+        Page and anchor of the book's proof, such as "notebooks/08-theorem-1.ipynb#proof"; empty if there is none.
     formal : str
-        The name of the theorem that Coq checks; empty where there is none.
+        The name of the theorem that Coq checks; empty if there is none.
     """
 
     id: str
@@ -162,40 +161,40 @@ class Claim:
         if checkable != (self.stated is not None) or checkable != (self.control is not None):
             raise InputError(f"claim {self.id} must have a check and a control, or neither and be not-checkable")
         if (self.recorded in ("holds-corrected", "refuted", "not-checkable")) != bool(self.reason):
-            raise InputError(f"claim {self.id} must give a reason just where it is corrected, refuted or not checkable")
+            raise InputError(f"claim {self.id} must give a reason exactly if it is corrected, refuted or not checkable")
         if (self.recorded == "refuted") != (self.instance is not None):
             raise InputError(
-                f"claim {self.id} must have an instance just where it is recorded as refuted: a case in which the same "
+                f"claim {self.id} must have an instance exactly if it is recorded as refuted: a case in which the same "
                 "check passes"
             )
         if self.kind != "statement" and (self.uses or self.proof or self.formal):
             raise InputError(
-                f"claim {self.id} is a {self.kind}, which nothing proves, and must name neither proof nor uses"
+                f"claim {self.id} is a {self.kind}, which has no proof, and must name neither proof nor uses"
             )
         if (self.recorded == "holds-corrected") != (self.corrected is not None):
             raise InputError(
-                f"claim {self.id} must have a corrected check just where it is recorded as holds-corrected"
+                f"claim {self.id} must have a corrected check exactly if it is recorded as holds-corrected"
             )
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim after its checks ran.
+    """A claim after its checks.
 
     Attributes
     ----------
     claim : Claim
-        What was judged.
+        The claim.
     verdict : Verdict
-        What came out.
+        The result.
     evidence : Evidence, optional
-        That of the check that decided; None where nothing can be checked.
+        The evidence of the deciding check; None if nothing can be checked.
     tripped : bool, optional
-        Whether the negative control failed, as it must; None where there is none, or where it gave no evidence.
+        Whether the negative control failed, as it must; None without control or evidence.
     told_apart : bool, optional
-        Whether the instance of a refuted claim passed, as it must; None where there is none, or no evidence.
+        Whether the instance of a refuted claim passed, as it must; None without instance or evidence.
     problem : str
-        Why a check, a control or an instance gave no evidence; empty where all did.
+        Why a check, a control or an instance gave no evidence; empty if all did.
     seconds : float
         The time taken.
     """
@@ -219,7 +218,7 @@ class Judgement:
 
     @property
     def told_true_from_false(self) -> str:
-        """What control and instance did, in words; empty where there is neither."""
+        """The results of control and instance, in words; empty without either."""
         control = {True: "fails, as it must", False: "PASSES", None: "gives no evidence"}[self.tripped]
         instance = {True: "holds, as it must", False: "FAILS", None: "gives no evidence"}[self.told_apart]
         words = [control] if self.claim.control else []
@@ -227,7 +226,7 @@ class Judgement:
 
     @property
     def status(self) -> Status:
-        """What the verdict means, in words."""
+        """The meaning of the verdict, in words."""
         match self.verdict:
             case "holds" | "observed":
                 if self.claim.formal:
@@ -247,7 +246,7 @@ def judge(claim: Claim, effort: Effort) -> Judgement:
     """Run a claim's checks, its control and its instance.
 
     "holds" (or "observed") if the stated check passes; else "holds-corrected" if there is a corrected check and it
-    passes; else "refuted". A check that decides nothing (it raises, has no cases or finds NaN) makes it "no-evidence".
+    passes; else "refuted". An inconclusive check (it raises, has no cases or finds NaN) gives "no-evidence".
     """
     begin = time.perf_counter()
     if claim.stated is None or claim.control is None:
@@ -273,13 +272,13 @@ def judge(claim: Claim, effort: Effort) -> Judgement:
 
 
 def _run(name: str, check: Check, effort: Effort) -> tuple[Evidence] | tuple[Evidence, str]:
-    """Run a check; return what it found and, where that is no evidence, why."""
+    """Run a check; return its evidence and, if it is inconclusive, why."""
     try:
         evidence = check(effort)
     except ModuleNotFoundError:
-        raise  # a package that is not installed; the command line says which extra brings it
+        raise  # a missing package; the command line names the extra that installs it
     except Exception as error:
-        # One check that breaks must not end the run of the others; its row says what it raised.
+        # A check that raises must not stop the others; its row holds the error.
         return Evidence(0, math.nan), f"{name} raised {type(error).__name__}: {error}"
     if evidence.conclusive:
         return (evidence,)

@@ -1,6 +1,6 @@
-r"""Theorem 1*: closed loops of V1 with changing maps, and every number of the proof that they contract.
+r"""Theorem 1*: closed loops of V1 with changing maps, and all quantities of the contraction proof.
 
-The proof bounds :math:`S(k) = \sqrt{V_3(x(k), r(k))}`, r(k) being where V1's plan ends, by
+The proof bounds :math:`S(k) = \sqrt{V_3(x(k), r(k))}`, with r(k) the end of V1's plan, by
 
 .. math::
     S(k+1) \le \sqrt{q_k^2 S(k)^2 + c_r^2 |r(k)|^2} + \sqrt{\lambda_{\max}(Q)}\,|w(k)|
@@ -28,7 +28,7 @@ _TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """What closed loops of V1 are made of, many at once.
+    """The data of closed loops of V1, many at once.
 
     ``plant``: x+ = Ax + Bu, shapes (loops, n, n), (loops, n, q). ``models``: k -> the model whose powers are the maps.
     ``Q``, ``R``, ``QN``: weights, shapes (loops, n, n), (loops, q, q), (loops, n, n). ``epsilon``: k -> eps(k).
@@ -48,7 +48,7 @@ class Loops:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Loops that ran, over k = 0 ... T-1 (states also at T).
+    """Simulated loops, over k = 0 ... T-1 (states also at T).
 
     ``x`` (T+1, loops, n), ``u`` (T, loops, q): states and inputs.
     ``A`` (T, loops, N+1, n, n), ``B`` (T, loops, N, n, q): the maps of (5).
@@ -75,7 +75,7 @@ class Run:
 
     @property
     def error(self) -> Array:
-        """e_1(k) of (8): where the plan ends its first step less where the plant ends it, shape (T, loops, n)."""
+        """The errors e_1(k) of (8): first planned state minus the plant's next state, shape (T, loops, n)."""
         return self.xi[..., 1, :] - self.x[1:]
 
 
@@ -129,7 +129,7 @@ def constants(A: Array, B: Array, Q: Array, R: Array, QN: Array, s: Array | None
         M^2 = \Bigl(\alpha + \frac{(1+\beta)|A_N|}{s_+}\Bigr)^2 + \Bigl(\frac{1+\beta}{s_+}\Bigr)^2, \qquad
         C_2 = \alpha + \frac{(1+\beta)|A_N|}{s_+}\bigl(1 + \sqrt{\operatorname{cond} Q_N}\bigr).
 
-    ``s``, shape (...), is taken for s+ where it is given.
+    ``s``, shape (...), replaces s+ if given.
     """
     N, n, q = B.shape[-3:]
     free = np.linalg.norm(A[..., :N, :, :].reshape(*A.shape[:-3], N * n, n), 2, axis=(-1, -2))
@@ -148,10 +148,10 @@ def constants(A: Array, B: Array, Q: Array, R: Array, QN: Array, s: Array | None
 
 
 def ends_excess(run: Run, share: float = 1.0) -> Array:
-    r"""Return by how much the two halves of step 1 are exceeded, relative to them, shape (2, T, loops).
+    r"""Return the relative violation of the two bounds of step 1, shape (2, T, loops).
 
     The first is the size of V2's least-norm solution, at most :math:`C_2 |x|`; the second is (12) with
-    :math:`\rho = \Lambda C_2^2 / \alpha`; ``share``: of epsilon, which its bound is given.
+    :math:`\rho = \Lambda C_2^2 / \alpha`; ``share``: of epsilon, as used in its bound.
     """
     at, loops = constants(run.A, run.B, run.loops.Q, run.loops.R, run.loops.QN), run.loops
     epsilon = share * np.array([loops.epsilon(k) for k in range(len(run.r))])[:, None]
@@ -163,11 +163,11 @@ def ends_excess(run: Run, share: float = 1.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Shifted:
-    """The plan of k, shifted, under the maps of k+1; over k = 0 ... T-2.
+    """The shifted plan of k under the maps of k+1; over k = 0 ... T-2.
 
-    ``w`` (T-1, loops, N+1, n): what (28) says that the new predictions differ by, from e_1 and the maps' differences.
-    ``found`` (T-1, loops, N+1, n): the new predictions less the old ones of the step after; the last is r~+ - A_1 r.
-    ``states`` (T-1, loops, N+1, n): the new predictions, of which the last is r~+, where the shifted plan ends.
+    ``w`` (T-1, loops, N+1, n): the difference of the new predictions by (28), from e_1 and the maps' differences.
+    ``found`` (T-1, loops, N+1, n): the new predictions minus the old ones one step later; the last is r~+ - A_1 r.
+    ``states`` (T-1, loops, N+1, n): the new predictions, ending in r~+, the end of the shifted plan.
     """
 
     w: Array
@@ -176,7 +176,7 @@ class Shifted:
 
 
 def shifted(run: Run) -> Shifted:
-    """Return the shifted plans with what (28) says of them."""
+    """Return the shifted plans with their differences by (28)."""
     A, B, next_A, next_B = run.A[:-1], run.B[:-1], run.A[1:], run.B[1:]
     N, q = B.shape[-3], B.shape[-1]
     inputs = np.concatenate([run.nu[:-1, :, 1:], np.zeros((*run.nu[:-1].shape[:2], 1, q))], axis=-2)
@@ -192,11 +192,11 @@ def shifted(run: Run) -> Shifted:
 
 
 def step_excess(run: Run, share: float = 1.0, moved_end: bool = True) -> Array:
-    """Return by how much the two halves of the bound of S(k+1) are exceeded, relative to them, shape (2, T-1, loops).
+    """Return the relative violation of the two parts of the bound of S(k+1), shape (2, T-1, loops).
 
     The first bounds the root of the shifted plan's cost by S(k), r(k) and w; the second bounds S(k+1) by that root and
-    by what the end moves. Where S(k) is below 1e-12 of its largest nothing is left but rounding, and it is -1.
-    ``share``: of q_k, which the first half is given. ``moved_end``: whether the second half counts the moved end.
+    the change of the end. If S(k) is below 1e-12 of its largest value, it is rounding, and the violation is -1.
+    ``share``: of q_k, as used in the first part. ``moved_end``: whether the second part includes the change of the end.
     """
     loops, r, moved = run.loops, run.r, shifted(run)
     at = constants(run.A, run.B, loops.Q, loops.R, loops.QN)

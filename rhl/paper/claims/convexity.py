@@ -1,4 +1,4 @@
-"""When a Bregman distance is convex in its second argument, and what Assumption 6 asks of loss and generator."""
+"""Convexity of a Bregman distance in its second argument, and Assumption 6 on loss and generator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rhl.paper.claims.claim import Effort, Evidence, worst_of
 
 # D is a difference of terms of the size of g; a hundred roundings of them, relative to their size.
 ROUNDING = 1e-12
-WHY = "D subtracts terms of the size of g; relative to them"
+WHY = "rounding relative to the terms of D, which have the size of g"
 
 
 def convexity_excess(g: Generator, x: Array, a: Array, b: Array, lam: Array) -> Array:
@@ -57,10 +57,10 @@ def middle_excess(expression: Any, y: Any, x: Any, at: Any, h: Any) -> float:
 
 
 def check_only_quadratics(effort: Effort, positive: bool = False) -> Evidence:
-    """See D(x, .) lie above its chord at the x that the proof names, for generators that are not quadratic.
+    """Check that D(x, .) lies above its chord at the x of the proof, for generators that are not quadratic.
 
-    ``positive``: look at the entropy on positive numbers instead, whose D is convex although it is not quadratic: the
-    proof's x is none of its domain, and the nearest that is shows nothing.
+    ``positive``: test the entropy on positive numbers instead, whose D is convex although it is not quadratic: the
+    proof's x is outside its domain, and the nearest point inside is no counterexample.
     """
     import sympy as sp
 
@@ -77,7 +77,7 @@ def check_only_quadratics(effort: Effort, positive: bool = False) -> Evidence:
 def check_assumption_6(effort: Effort, value: Callable[[Array], Array] | None = None) -> Evidence:
     """Sample strict convexity, c(e) > c(0) and the gradient of the library's loss, or of another function.
 
-    ``value``: another loss, (..., d) to (...), looked at with the gradient of the library's.
+    ``value``: another loss, (..., d) to (...), tested with the gradient of the library's.
     """
     rng, squares = effort.rng("assumption-6"), WeightedSquares(np.array([0.5, 1.0, 3.0]))
     loss = value or squares.value

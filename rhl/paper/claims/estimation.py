@@ -35,11 +35,11 @@ def regressor_matrix(x: Array, u: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What (15) makes of recorded signals.
+    """The estimates (15) for recorded signals.
 
     ``x`` (K+1, n): x(0), ..., x(K); zero before. ``u`` (K, q): u(0), ..., u(K-1); zero before.
     ``window``: the paper's N bar. ``best``: theta*(1), ..., theta*(K); entry k - 1 belongs to k.
-    ``models``: theta~(0), ..., theta~(K). ``mixing`` (K,): lambda_1, ..., lambda_K; zero where left out.
+    ``models``: theta~(0), ..., theta~(K). ``mixing`` (K,): lambda_1, ..., lambda_K; zero by default.
     """
 
     x: Array
@@ -86,8 +86,8 @@ def estimate(
 ) -> Estimates:
     """Run the estimator (15) on recorded x, shape (K+1, n), and u, shape (K, q).
 
-    ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K. ``loss``: c; squares where left out.
-    ``first``: the first k at which the estimate may move; ``window`` keeps the zeros before k = 0 out of it.
+    ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K. ``loss``: c; squares by default.
+    ``first``: the first k at which the estimate may change; ``window`` excludes the zeros before k = 0.
     """
     estimator = ProximalEstimator(window, loss=WeightedSquares() if loss is None else loss)
     best: list[SignalModel] = []
@@ -173,7 +173,7 @@ def omegas(record: Estimates, k: int, N: int, truth: SignalModel) -> Array:
 
 
 def omega_sums(record: Estimates, N: int, truth: SignalModel, lambda_max: float) -> tuple[Array, Array]:
-    r"""Return the sums of the three omegas over k, from the window on, and bounds of them that the data obey.
+    r"""Return the sums of the three omegas over k, from the window on, and bounds of them for all data.
 
     Let T be the bound :math:`|\theta-\tilde\theta(0)|^2/(1-\lambda_{max})` of all squared steps and residuals, and a,
     f, b the largest norms of :math:`A(k)^i`, :math:`A^i`, :math:`A^iB` for i < N. As :math:`\sigma_j` is a sum of at
@@ -181,7 +181,7 @@ def omega_sums(record: Estimates, N: int, truth: SignalModel, lambda_max: float)
 
     .. math:: 2N^2a^2T,\quad 4Na^2f^2S\,T,\quad 2Na^2(1+2Nb^2)S\,T,\qquad S = \sum_{j<N}(j+1)^2 .
 
-    Finite sums of numbers that are not negative: the omegas tend to zero, whatever the data.
+    The omegas are nonnegative with finite sums, so they tend to zero for all data.
     """
     ks = range(record.window, len(record.u) - N + 1)
     sums = np.sum([omegas(record, k, N, truth) for k in ks], axis=0)

@@ -19,7 +19,7 @@ from rhl.simulation import simulate
 
 claim = partial(Claim, page="notebooks/11-theorem-2.ipynb", test="tests/paper/claims/test_theorem_2.py")
 
-# Data of size one to a hundred through one or two factorisations.
+# Rounding of data of size one to a hundred in one or two factorisations.
 ROUNDING = 1e-10
 WHY = "signals of size one to a hundred, one least-squares solution"
 
@@ -27,7 +27,7 @@ WHY = "signals of size one to a hundred, one least-squares solution"
 def check_estimator(effort: Effort, weight: float = 1.0) -> Evidence:
     """Check that the closed loop's estimates are stationary for (15), written with Kronecker products, and its mixture.
 
-    ``weight``: weight of the proximal term that is assumed; the example takes 1.
+    ``weight``: assumed weight of the proximal term; the example has 1.
     """
     example = linear_example()
     trace, found = simulate(example.scheme, example.plant, example.z0, 25), []
@@ -44,7 +44,7 @@ def check_estimator(effort: Effort, weight: float = 1.0) -> Evidence:
 
 
 def check_generator_domain(effort: Effort, printed: bool = False) -> Evidence:
-    """Compare the size of theta in the robot arm's scheme with that of g's domain: n N (printed) or n (n + q)."""
+    """Compare the size of theta in the robot arm's scheme with g's dimension: n N (printed) or n (n + q)."""
     scheme = robot_arm().scheme
     model, window = scheme.initial_model, scheme.estimator.window
     wanted = model.n * window if printed else model.n * (model.n + model.q)
@@ -65,7 +65,7 @@ def check_lifting(effort: Effort, start: int = 0) -> Evidence:
 
 
 def check_lifting_example(effort: Effort, entries: int = 7) -> Evidence:
-    """Lift by the text's example, two outputs at two instants and three products, and count what the library returns.
+    """Lift by the text's example, two outputs at two instants and three products, and count the library's entries.
 
     The entries are compared with the text's vector as well.
     """
@@ -80,7 +80,7 @@ def check_lifting_example(effort: Effort, entries: int = 7) -> Evidence:
 def check_stacks(effort: Effort, what: str, wrong: bool = False) -> Evidence:
     """Check (16) and (17): s(k) - R(k) theta lists x(j) - A x(j-1) - B u(j-1), newest first.
 
-    ``what``: for the generator of random numbers, "eq-16" or "eq-17".
+    ``what``: name for the random generator, "eq-16" or "eq-17".
     ``wrong``: s(k) oldest first (eq-16), theta row by row (eq-17).
     """
     rng, found = effort.rng(what), []
@@ -132,7 +132,7 @@ def _whole(rng: np.random.Generator, largest: int, shape: tuple[int, int]) -> Ar
 
 
 def check_powers(effort: Effort, slip: int = 0) -> Evidence:
-    """Compare (21) with integers, exactly; see that predicting i steps and then j is predicting i + j, (7).
+    """Check (21) exactly with integers, and that predicting i steps and then j equals predicting i + j steps, (7).
 
     ``slip``: take B_{i} = A^{i+slip} B instead.
     """
@@ -172,8 +172,8 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-13",
         "Equation 13",
         "signals",
-        "The record: a sequence of outputs and one of inputs.",
-        reason="a definition: it names two sequences and says nothing about them",
+        "The data: a sequence of outputs and one of inputs.",
+        reason="a definition: it introduces two sequences and asserts nothing about them",
         kind="definition",
     ),
     claim(
@@ -185,7 +185,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_lifting,
-        control=Control("the stack of one step before", partial(check_lifting, start=1)),
+        control=Control("the stack of the previous step", partial(check_lifting, start=1)),
         kind="definition",
     ),
     claim(
@@ -204,8 +204,8 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-15",
         "Equation 15",
         "sp1",
-        "The estimate minimises loss plus Bregman distance to the previous model, which is then mixed in: so does "
-        "every step of the library's closed loop.",
+        "The estimate minimises loss plus Bregman distance to the previous model, which is then mixed in; every step "
+        "of the library's closed loop does this.",
         "numerical sampling",
         "holds",
         stated=check_estimator,
@@ -251,7 +251,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-18",
         "Equation 18",
         "eq:exo",
-        "The signal model takes x(k), u(k) to A x(k) + B u(k); so does the library's.",
+        "The signal model maps x(k), u(k) to A x(k) + B u(k); so does the library's.",
         "exact arithmetic",
         "holds",
         stated=check_signal_model,
@@ -275,8 +275,8 @@ CLAIMS: tuple[Claim, ...] = (
         "remark-3",
         "Remark 3",
         "rk4",
-        "A signal model is no system model: all trajectories of the nonlinear z1+ = z1 + z2^2 + u, z2+ = z2/2 obey one "
-        "linear model in (z1, z2, z2^2).",
+        "A signal model is not a system model: all trajectories of the nonlinear z1+ = z1 + z2^2 + u, z2+ = z2/2 obey "
+        "one linear model in (z1, z2, z2^2).",
         "symbolic identity",
         "holds",
         stated=check_carleman,
@@ -287,7 +287,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-21",
         "Equation 21",
         "predictormaps",
-        "The powers A^i, A^i B of one model are predictor maps (5): they repeat its steps, and commute as (7) asks.",
+        "The powers A^i, A^i B of one model are predictor maps (5): they repeat its steps, and satisfy (7).",
         "exact arithmetic",
         "holds",
         stated=check_powers,

@@ -1,4 +1,4 @@
-"""Growing memory: a loss that never falls makes Lemma 4 and Theorem 2(i) true as printed."""
+"""Growing memory: with a loss that never decreases, Lemma 4 and Theorem 2(i) hold as printed."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from rhl.paper.claims.proximal import Entropy, Mirror, Squares
 from rhl.paper.published import linear_example
 from rhl.simulation import simulate
 
-# What has arrived in X has come this close, relative to the data; what has not is a hundredth away at least.
+# Convergence to X means this distance, relative to the data; without convergence it is at least a hundredth.
 _ARRIVED = 1e-6
 _WHY = "some sixty contractions, relative to the data"
 
-# Given the step k, the weights of the functions 0, ..., k in the sum that the iteration meets; zero leaves one out.
+# For the step k, the weights of the functions 0, ..., k in the sum; zero leaves one out.
 Keep = Callable[[int], Array]
 
 
@@ -40,7 +40,7 @@ def keep_latest(k: int, window: int = 1) -> Array:
 
 
 def keep_fading(k: int, factor: float = 0.5) -> Array:
-    """Return the weights of a memory that forgets: one step back counts ``factor``."""
+    """Return the weights of a memory with forgetting: one step back has the weight ``factor``."""
     return factor ** np.arange(k, -1, -1.0)
 
 
@@ -63,10 +63,10 @@ def iterate_sums(
 
 
 def check_growing(effort: Effort, keep: Keep = keep_all) -> Evidence:
-    """See iterations end in X, and for every j the sum of f(x*_{k+1}, j) over k stay below Lemma 4's bound.
+    """Check that iterations converge into X, and that the sums of f(x*_{k+1}, j) over k obey Lemma 4's bound for all j.
 
-    The first functions are steep and each comes once, those after them ever flatter, so that what is not remembered is
-    lost. ``keep``: what is remembered of them.
+    The first functions are steep and each occurs once; later ones are ever flatter, so their sum determines the limit
+    only with memory. ``keep``: the weights of the memory.
     """
     rng, found, steps = effort.rng("lemma-4.growing"), [], 60
     for case in range(max(6, effort.cases // 8)):
@@ -82,7 +82,7 @@ def check_growing(effort: Effort, keep: Keep = keep_all) -> Evidence:
         mixing = rng.uniform(0, lambda_max, steps)
         minimisers, centres = iterate_sums(rows, aims, loss, g, start, mixing, keep)
         found.append(float(np.max(np.abs(rows @ centres[-1] - aims))))
-        # f(., j) is the sum of the functions 0, ..., j; from step j on it is met again and again.
+        # f(., j) is the sum of the functions 0, ..., j; from step j on it occurs at every step.
         losses = [[float(loss(np.ones(1)).value(b - a @ x[:, None])) for a, b in zip(rows, aims, strict=True)]
                   for x in minimisers]  # fmt: skip
         sums = np.cumsum(np.cumsum(losses, axis=1)[::-1], axis=0)[::-1]
@@ -97,7 +97,7 @@ def remember(
     """Run the library's growing memory on recorded x, shape (K+1, n), and u, shape (K, q).
 
     ``initial``: theta~(0). ``mixing`` (K,): lambda_1, ..., lambda_K. ``weight``: of the proximal term.
-    ``forgetting``: by which every transition counts less with each step; one forgets nothing.
+    ``forgetting``: the factor on the weight of every transition at each step; one means no forgetting.
     """
     memory, best, models = GrowingMemory(weight), list[SignalModel](), [initial]
     data = memory.begin(initial.n, initial.q)
@@ -109,9 +109,9 @@ def remember(
 
 
 def spiral_against(steps: int, forgetting: float = 1.0) -> Estimates:
-    """Let the spiral's inputs stand nearly at a right angle to what the growing memory itself estimates.
+    """Make the spiral's inputs nearly orthogonal to the growing memory's own estimate.
 
-    The data are those of ``spiral_estimates`` with this estimator in place of a window. ``forgetting``: as above; zero
+    The data are those of ``spiral_estimates`` with this estimator instead of a window. ``forgetting``: as above; zero
     is a window of one transition.
     """
     memory = GrowingMemory(1.0)
@@ -132,7 +132,7 @@ def all_residuals(record: Estimates, model: SignalModel) -> Array:
 
 
 def missed(record: Estimates) -> float:
-    """Return what the last model misses of any transition, relative to the largest signal."""
+    """Return the largest residual of the last model over all transitions, relative to the largest signal."""
     size = max(float(np.max(np.abs(record.x))), float(np.max(np.abs(record.u))))
     return float(np.max(np.abs(all_residuals(record, record.models[-1])))) / size
 
@@ -140,22 +140,22 @@ def missed(record: Estimates) -> float:
 def example_run(steps: int = 160, growing: bool = True) -> Estimates:
     """Run the linear example's closed loop, with the growing memory of weight one or the paper's window.
 
-    The record begins where the stacks are full of measurements; there the growing memory begins as well.
+    The record begins when the stacks are full of measurements, and the growing memory begins there too.
     """
     example = linear_example()
     scheme = replace(example.scheme, estimator=GrowingMemory(1.0)) if growing else example.scheme
     trace = simulate(scheme, example.plant, example.z0, steps)
     first, (x, u) = scheme.first_measured, trace.lifted
     models = [trace.model(k) for k in range(first - 1, steps)]
-    # Without mixing theta*(k) is theta~(k). trace.lifted holds u(k-1) beside x(k).
+    # Without mixing theta*(k) is theta~(k). trace.lifted holds u(k-1) with x(k).
     return Estimates(x[first - 1 :], u[first:], 1, models[1:], models)
 
 
 def check_estimator(effort: Effort, forgetting: float = 1.0) -> Evidence:
-    r"""See the library's growing memory end at a model that fits every transition, on three kinds of data.
+    r"""Check that the library's growing memory ends at a model that fits every transition, on three kinds of data.
 
     They are the spiral's, the linear example's in closed loop, and random ones with mixing, for which also
-    :math:`\sum_k \sum_{j\le k} |x(j) - \Theta^*(k)\varphi(j-1)|^2` is held against its bound.
+    :math:`\sum_k \sum_{j\le k} |x(j) - \Theta^*(k)\varphi(j-1)|^2` is compared with its bound.
     ``forgetting``: as in ``remember``; the loop of the example keeps everything.
     """
     rng, steps, lambda_max = effort.rng("theorem-2.i.growing"), 80, 0.6
@@ -168,7 +168,7 @@ def check_estimator(effort: Effort, forgetting: float = 1.0) -> Evidence:
         x, weight = trajectory(truth, rng.standard_normal(n), u), 1e-12
         record = remember(x, u, initial, rng.uniform(0, lambda_max, steps), weight, forgetting)
         total = sum(np.sum(all_residuals(record, of)[: k + 1] ** 2) for k, of in enumerate(record.best))
-        # Below this, squares of rounding errors of the data are all that is left.
+        # Smaller sums are squares of rounding errors of the data.
         allowed = weight * record.distances(truth.theta)[0] ** 2 / (1 - lambda_max) + 1e-24 * np.sum(x**2)
         records.append(record)
         found.append(float(total / allowed) - 1)
@@ -185,8 +185,8 @@ LEMMA: tuple[Claim, ...] = (
         "lemma-4.growing",
         "Lemma 4",
         "timevaryingmin",
-        "If f(x,k) never falls in k, for any x, Lemma 4 holds as printed: the iterates converge to a point of X, and "
-        "the sum of f(x*_{k+1}, j) over k is finite for every j.",
+        "If f(x,k) never decreases in k, for any x, Lemma 4 holds as printed: the iterates converge to a point of X, "
+        "and the sum of f(x*_{k+1}, j) over k is finite for every j.",
         "numerical sampling",
         "holds",
         page="notebooks/09-lemma-4.ipynb",
@@ -202,8 +202,8 @@ THEOREM: tuple[Claim, ...] = (
         "theorem-2.i.growing",
         "Theorem 2(i)",
         "xxx",
-        "An estimator that keeps every transition since the window was first full of measurements makes Theorem 2(i) "
-        "true as printed: the estimates converge, to a model that fits every transition.",
+        "With an estimator that keeps every transition since the window was first full of measurements, Theorem 2(i) "
+        "holds as printed: the estimates converge to a model that fits every transition.",
         "numerical sampling",
         "holds",
         page="notebooks/11-theorem-2.ipynb",

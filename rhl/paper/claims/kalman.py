@@ -1,4 +1,4 @@
-"""Plants in the block form of equation (52), and the stacks of what they put out."""
+"""Plants in the block form of equation (52), and stacks of their outputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rhl.plants.analysis import observability, pbh, spectral_radius
 
 @dataclass(frozen=True, eq=False)
 class KalmanForm:
-    """A plant in the block form of equation (52), before a change of coordinates hides it.
+    """A plant in the block form of equation (52), before a change of coordinates.
 
     ``F``, ``G``, ``H``: z = [z_1; z_2; z_3]: controllable and observable; observable, stable, not controllable; stable,
     not observable.
@@ -40,7 +40,7 @@ class KalmanForm:
 def kalman_form(
     rng: np.random.Generator, p: int, q: int, sizes: tuple[int, int, int], hidden_radius: float = 0.8
 ) -> KalmanForm:
-    """Draw a plant of the form (52), again and again until the observability matrix of (53) is well conditioned.
+    """Draw plants of the form (52) until the observability matrix of (53) is well conditioned.
 
     ``sizes`` are those of the blocks z_1, z_2, z_3; the first may be unstable, the others are stable.
     ``hidden_radius``: spectral radius of the unobservable block F_6; 1 or more makes the plant undetectable.
@@ -53,7 +53,7 @@ def kalman_form(
         F = rng.normal(size=(n, n)) / np.sqrt(n)
         radii = [spectral_radius(F[at, at]) for at, _ in blocks]
         if min(radii) < 0.1:
-            continue  # nearly nilpotent: scaled to its radius it would be far from normal
+            continue  # nearly nilpotent; scaled to its radius it would be far from normal
         for (at, wanted), radius in zip(blocks, radii, strict=True):
             F[at, at] *= wanted / radius
         F[n1 : n1 + n2, :n1] = 0

@@ -1,4 +1,4 @@
-"""All claims, listed; and the one way to run them."""
+"""The list of all claims, and the function that runs them."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ CLAIMS: tuple[Claim, ...] = tuple(
     for claim in module.CLAIMS
 )
 
-# Without Lemma 1, which is set in the revision's colour, the search is "Lemma 4".
+# In versions without Lemma 1 the search is "Lemma 4".
 ALIASES = {"lambda-search": "lemma-5", "brief-lemma-4": "lemma-5"}
 
 
 def select(ids: Sequence[str]) -> list[Claim]:
-    """Return the claims of these ids, in the ledger's order; all where none is given.
+    """Return the claims of these ids, in the ledger's order; all if none is given.
 
     An id may be a pattern, such as "certified.*", for all claims whose ids it matches. InputError if an id is not in
     the ledger, or a pattern matches none.
@@ -80,7 +80,7 @@ def select(ids: Sequence[str]) -> list[Claim]:
 def run(
     claims: Iterable[Claim], effort: Effort, progress: Callable[[Judgement], None] | None = None
 ) -> list[Judgement]:
-    """Judge claims one after the other. ``progress``: called with each judgement as it is made."""
+    """Check claims one after the other. ``progress``: called with each judgement."""
     judgements = []
     for claim in claims:
         judgements.append(judge(claim, effort))
@@ -96,7 +96,7 @@ def as_json(judgements: Iterable[Judgement], effort: Effort) -> dict[str, Any]:
 
 def _entry(judgement: Judgement) -> dict[str, Any]:
     claim, evidence = judgement.claim, judgement.evidence
-    # JSON knows neither NaN nor infinity.
+    # JSON has neither NaN nor infinity.
     worst = evidence.worst if evidence and math.isfinite(evidence.worst) else None
     return {
         "id": claim.id,

@@ -1,4 +1,4 @@
-"""Lemma 1: V3 and V2 are quadratic with linear solutions; and the remark that Assumption 5 follows from a rank."""
+"""Lemma 1: V3 and V2 are quadratic with linear solutions; and Assumption 5 follows from a rank condition."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _claim = partial(Claim, page="notebooks/05-lemma-1.ipynb", test="tests/paper/cla
 
 _PROOF = "notebooks/05-lemma-1.ipynb#the-proof-step-by-step"
 
-# Entries of order one; the maps' terminal rank is kept away from a loss by a factor of a hundred.
+# Entries of order one; the smallest terminal singular value is at least a hundredth.
 _ROUNDING = 1e-9
 
 
@@ -42,7 +42,7 @@ def random_weight(rng: np.random.Generator, n: int) -> Array:
 def stacked_form(maps: PredictorMaps, Q: Array, R: Array) -> tuple[Array, Array, Array]:
     """Return H, C and B of V3 as in the paper's proof: minimise w'Hw subject to C w = B [x; r].
 
-    w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C say xi_0 = x, what xi_1 ... xi_N are predicted to be,
+    w = [nu_0; xi_0; ...; nu_{N-1}; xi_{N-1}; xi_N]. The rows of C state xi_0 = x, the predictions of xi_1 ... xi_N,
     and xi_N = r.
     """
     N, n, q = maps.horizon, maps.n, maps.q
@@ -69,10 +69,10 @@ def stacked_form(maps: PredictorMaps, Q: Array, R: Array) -> tuple[Array, Array,
 
 
 def independent_solution(maps: PredictorMaps, Q: Array, R: Array, x: Array, r: Array) -> tuple[Array, Array]:
-    """Solve V3 by its KKT system, without any of the library's recursion; returns nu, shape (N, q), and its gain."""
+    """Solve V3 by its KKT system, without the library's recursion; returns nu, shape (N, q), and its gain."""
     H, C, B = stacked_form(maps, Q, R)
     n, q, N = maps.n, maps.q, maps.horizon
-    # xi_N carries no weight of its own; the constraint fixes it, so any weight leaves the solution as it is.
+    # xi_N has no weight; the constraint fixes it, so any weight gives the same solution.
     H = H + np.diag(np.r_[np.zeros(len(H) - n), np.ones(n)])
     kkt = np.block([[2 * H, C.T], [C, np.zeros((len(C), len(C)))]])
     gain = np.linalg.lstsq(kkt, np.concatenate([np.zeros((len(H), 2 * n)), B]), rcond=None)[0][: len(H)]
@@ -81,9 +81,9 @@ def independent_solution(maps: PredictorMaps, Q: Array, R: Array, x: Array, r: A
 
 
 def partly_steered(rng: np.random.Generator, maps: PredictorMaps, least: int = 0) -> tuple[PredictorMaps, Array]:
-    """Return maps whose terminal state no inputs move along some directions, and what projects onto the others.
+    """Return maps whose terminal state is not controllable along some directions, and the projection onto the others.
 
-    ``maps``: with [B_0, ..., B_{N-1}] of rank n. ``least``: how many directions at least are left to the inputs.
+    ``maps``: with [B_0, ..., B_{N-1}] of rank n. ``least``: the least number of controllable directions.
     """
     n = maps.n
     basis = np.linalg.qr(rng.normal(size=(n, n)))[0][:, : int(rng.integers(least, n + 1))]
@@ -98,9 +98,9 @@ def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
 
 
 def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
-    """Superpose solutions of V3 and compare with an independent solver, also where some r are out of reach.
+    """Superpose solutions of V3 and compare with an independent solver, also where some r are not reachable.
 
-    ``bend``: add that much of |x| to r, so that the right side is no longer linear in (x, r).
+    ``bend``: multiple of |x| added to r, so that the right side is not linear in (x, r).
     """
     rng, gaps = effort.rng("lemma-1.a"), []
     for _ in range(effort.cases):
@@ -109,7 +109,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
         x, r = rng.normal(size=(2, 3, maps.n))
         x[2], r[2] = x[0] + 2 * x[1], r[0] + 2 * r[1]
         r = (r + bend * np.linalg.norm(x, axis=1, keepdims=True)) @ onto
-        # What the inputs do not move is where the maps take x.
+        # The part that inputs do not move is the maps' image of x.
         r += x @ ((np.eye(maps.n) - onto) @ maps.A[-1]).T
         u = np.stack([solve(V3(maps, Q, R, r[i], maps.horizon), x[i]).u for i in range(3)])
         scale = 1 + np.max(np.abs(u))
@@ -122,7 +122,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
 def polarise(value: Callable[[Array], float], size: int) -> Array:
     """Return the symmetric S with value(p) = p'Sp, from values alone: S_ab = (value(a + b) - value(a - b)) / 4.
 
-    S has shape (size, size). ``value`` takes arrays of shape (size,); what it returns is checked by whoever asks.
+    S has shape (size, size). ``value`` takes arrays of shape (size,); callers check its results.
     """
     eye = np.eye(size)
     S = np.array([[(value(a + b) - value(a - b)) / 4 for b in eye] for a in eye])
@@ -132,9 +132,9 @@ def polarise(value: Callable[[Array], float], size: int) -> Array:
 def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
     """Recover S_3, S_4, S_5 of V_3 = x'S_3x + x'S_4r + r'S_5r by probing, and predict values elsewhere.
 
-    Where inputs do not move all of the terminal state, r takes what they do move, and the rest follows from x.
+    Where inputs do not move all of the terminal state, r prescribes the part that they move; x determines the rest.
 
-    ``cubic``: add that much of |x|^3 to the values, which no quadratic form can follow.
+    ``cubic``: multiple of |x|^3 added to the values, which no quadratic form reproduces.
     """
     rng, gaps = effort.rng("lemma-1.a.value"), []
     for _ in range(max(1, effort.cases // 4)):
@@ -161,9 +161,9 @@ def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
     """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols x, r, a1, a2, b0, b1, Q, R.
 
     Returns the solutions, for v0, v1 and the multiplier mu, and the objective's second derivative along (1, -b1/b0),
-    the one direction that leaves xi_2 as it is. ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
+    the only direction that keeps xi_2. ``R_sign``: 0 takes R = 0 and the stage weight Q = 0.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     x, r, a1, a2 = sp.symbols("x r a1 a2", real=True)
     b0, b1, Q, R = sp.symbols("b0 b1 Q R", positive=True)
@@ -179,10 +179,10 @@ def symbolic_solution(R_sign: int = 1) -> tuple[list[dict[Any, Any]], Any]:
 def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
     """Solve the KKT system of (11) for n = q = 1, N = 2 with symbols: one solution, linear in x and r.
 
-    ``effort`` is not used: nothing is drawn.
-    ``R_sign``: 0 takes R = 0 and the stage weight Q = 0, which leaves the solution open.
+    ``effort`` is not used, since nothing is random.
+    ``R_sign``: 0 sets R = 0 and the stage weight Q = 0, so the solution is not unique.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     x, r = sp.symbols("x r", real=True)
     v0, v1 = sp.symbols("v0 v1")
@@ -194,7 +194,7 @@ def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
         solution = solutions[0][unknown]
         linear = sp.diff(solution, x) * x + sp.diff(solution, r) * r
         faults += sp.simplify(solution - linear) != 0 or bool(linear.diff(x, 2) != 0)
-    # Positive along the one free direction, so the solution is the minimiser.
+    # Positive along the only free direction, so the solution is the minimiser.
     faults += not curvature.is_positive
     return Evidence(3, float(faults))
 
@@ -202,19 +202,19 @@ def check_symbolic(effort: Effort, R_sign: int = 1) -> Evidence:
 def check_v2(effort: Effort, sample: bool = False) -> Evidence:
     """Superpose least-norm solutions of V2, and recover its value as a positive semidefinite form.
 
-    ``sample``: take some other minimiser of V2, chosen differently for each x.
+    ``sample``: use another minimiser of V2, chosen differently for each x.
     """
     rng, gaps = effort.rng("lemma-1.b"), []
     for _ in range(effort.cases):
         n, q = int(rng.integers(2, 4)), int(rng.integers(1, 3))
-        # One horizon longer than needed, so that there is always another minimiser.
+        # The horizon is longer than needed, so that there is always another minimiser.
         maps, onto = partly_steered(rng, random_maps(rng, n, q, n + 1), 1)
         QN, N = random_weight(rng, n), n + 1
         x = rng.normal(size=(3, n))
         x[2] = x[0] + 2 * x[1]
         plans = [solve(V2(maps, QN, N), each) for each in x]
         u = np.stack([plan.u for plan in plans])
-        # The end is a minimiser if the slope there is zero along all that inputs move.
+        # The end is a minimiser if the gradient there is zero along all controllable directions.
         scale = 1 + np.max(np.abs(u))
         gaps.append(max(float(np.max(np.abs(onto @ QN @ plan.x[-1]))) for plan in plans) / scale)
         gaps.append(float(np.max(np.abs(u[0] - _shortest(maps, plans[0].x[-1], x[0])))) / scale)
@@ -238,10 +238,10 @@ def _shortest(maps: PredictorMaps, end: Array, x: Array) -> Array:
 
 
 def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
-    """Find by how much the rank of C(k) falls short of what the remark to Assumption 5 says.
+    """Find the shortfall of the rank of C(k) from the remark to Assumption 5.
 
     ``of`` {"column", "row"}: full column rank, as printed, or full row rank.
-    ``full`` False draws maps whose [B_0, ..., B_{N-1}] has a rank below n.
+    ``full`` False: draw maps whose [B_0, ..., B_{N-1}] has a rank below n.
     """
     rng, short = effort.rng("assumption-5.rank"), []
     for _ in range(effort.cases):
@@ -254,7 +254,7 @@ def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
 
 
 def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, float]:
-    """Return the norm of V3's gain, from [x; r] to all nu_i and xi_i with i < N, and the bound that is shown for it.
+    """Return the norm of V3's gain, from [x; r] to all nu_i and xi_i with i < N, and its bound.
 
     ``maps``: with [B_0, ..., B_{N-1}] of rank n.
     """
@@ -267,12 +267,12 @@ def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, floa
 
 
 def check_bound(effort: Effort, full: bool = True) -> Evidence:
-    """Find by how much V3's gains exceed the bound that a feasible gain gives.
+    """Find the excess of V3's gains over the bound from a feasible gain.
 
     The gain C'(CC')^-1 B is feasible, so the optimal one has w'Hw no larger, and is at most sqrt(cond H) times as large
     (H on the entries that are free).
 
-    ``full`` False lets the rank condition fail: V3 is then infeasible for some (x, r), and no bound exists.
+    ``full`` False: violate the rank condition; V3 is then infeasible for some (x, r), and no bound exists.
     """
     rng, excess = effort.rng("assumption-5.bound"), []
     for _ in range(effort.cases):
@@ -290,15 +290,15 @@ def check_bound(effort: Effort, full: bool = True) -> Evidence:
 
 
 def weakly_reached(delta: float) -> PredictorMaps:
-    """Return the powers of A = diag(2, 0), B = (1, delta) over two steps: the second state is reached through delta."""
+    """Return the powers of A = diag(2, 0), B = (1, delta) over two steps: delta is the second state's input gain."""
     A, B = np.diag([2.0, 0.0]), np.array([[1.0], [delta]])
     return PredictorMaps(np.stack([np.eye(2), A, A @ A]), np.stack([B, A @ B]))
 
 
 def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
-    """See how large V3's gains become while V1's stay bounded, as the second state is reached ever more weakly.
+    """Measure V3's gains, while V1's stay bounded, as the input gain of the second state tends to zero.
 
-    ``effort`` is not used: nothing is drawn. ``least``: the smallest delta.
+    ``effort`` is not used, since nothing is random. ``least``: the smallest delta.
     """
     ours, theirs = [], []
     for delta in np.geomspace(1.0, least, 7):
@@ -307,12 +307,12 @@ def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
             ours += [np.max(np.abs(solve(V1(maps, 1.0, 1.0, 1.0, w, 2), x).u)) for w in (1.0, 1e3, 1e6, 1e9)]
             theirs.append(np.max(np.abs(solve(V3(maps, 1.0, 1.0, x, 2), np.zeros(2)).u)))
     if max(ours) > 10:
-        return Evidence(0, np.nan, why="V1's gains are not bounded, so that nothing is refuted")
+        return Evidence(0, np.nan, why="V1's gains are not bounded, so nothing is refuted")
     return Evidence(len(theirs), float(max(theirs)), 1e3, "a hundred times the bound of V1's gains")
 
 
 def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
-    """Recompute the certificate of the library's plan for a problem. ``nudge``: move the plan's inputs by that much."""
+    """Recompute the certificate of the library's plan for a problem. ``nudge``: change of the plan's inputs."""
     rng, worst = effort.rng(which), []
     for _ in range(effort.cases):
         maps, Q, R = _draw(rng)
@@ -378,7 +378,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="numerical sampling",
         recorded="holds",
         stated=check_v2,
-        control=Control("some minimiser instead of the least one", lambda effort: check_v2(effort, sample=True)),
+        control=Control("another minimiser than the one of least norm", lambda effort: check_v2(effort, sample=True)),
         uses=("lemma-1.a", "eq-10"),
         proof=_PROOF,
     ),
@@ -387,7 +387,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Assumption 5",
         "new",
         "The gains of the solutions of V3 and of V1 along the closed loop stay below one bound.",
-        reason="A hypothesis about a whole infinite run; what implies part (a) is checked by assumption-5.bound.",
+        reason="A hypothesis about an infinite run; assumption-5.bound checks a condition that implies part (a).",
         kind="hypothesis",
     ),
     _claim(
@@ -400,7 +400,8 @@ CLAIMS: tuple[Claim, ...] = (
         stated=lambda effort: check_rank(effort, "column"),
         corrected=lambda effort: check_rank(effort, "row"),
         control=Control("maps of a lower rank", lambda effort: check_rank(effort, "row", full=False)),
-        reason="Full row rank is meant, not column rank, and the feasible gain is C'(CC')^-1 B, not (C'C)^-1 C'B.",
+        reason="The rank must be the full row rank, not the column rank, and the feasible gain is C'(CC')^-1 B, not "
+        "(C'C)^-1 C'B.",
         uses=("eq-11",),
         proof="notebooks/05-lemma-1.ipynb#proof-row-rank",
     ),
@@ -420,22 +421,22 @@ CLAIMS: tuple[Claim, ...] = (
         "assumption-5.implies",
         "Assumption 5",
         "new",
-        "Read as a bound on gain matrices, part (b) implies part (a), as the proof of Theorem 1 uses.",
+        "If Assumption 5 bounds gain matrices, part (b) implies part (a), as the proof of Theorem 1 uses.",
         method="numerical sampling",
         recorded="refuted",
         stated=check_implication,
-        control=Control("a state on which the input acts even less", lambda effort: check_implication(effort, 1e-5)),
-        instance=Control("a state that is reached by a hundredth at least", partial(check_implication, least=1e-2)),
+        control=Control("a state with a smaller input gain", lambda effort: check_implication(effort, 1e-5)),
+        instance=Control("a state with an input gain of at least a hundredth", partial(check_implication, least=1e-2)),
         reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
-        "V3 with respect to r grow like 1/delta. Read as a bound on the plans met along the loop, (b) does imply (a) "
-        "(assumption-5.implies-met); but then Lemma 2 fails (lemma-2.met). This book reads (a) as a bound on the gain "
-        "matrices, which holds just where inf s+ > 0 (assumption-5.s-plus).",
+        "V3 with respect to r grow like 1/delta. If it bounds the plans along the loop, (b) does imply (a) "
+        "(assumption-5.implies-met), but then Lemma 2 fails (lemma-2.met). This book reads (a) as a bound on the gain "
+        "matrices, which holds if and only if inf s+ > 0 (assumption-5.s-plus).",
     ),
     _claim(
         "eq-3",
         "Equation 3",
         "mpc1",
-        "V1, as the library solves it: its plans meet the optimality conditions.",
+        "The library's plans for V1 satisfy the optimality conditions.",
         method="numerical sampling",
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V1"),
@@ -446,7 +447,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-10",
         "Equation 10",
         "mpc2",
-        "V2, as the library solves it: its plans meet the optimality conditions.",
+        "The library's plans for V2 satisfy the optimality conditions.",
         method="numerical sampling",
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V2"),
@@ -457,7 +458,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-11",
         "Equation 11",
         "mpc3",
-        "V3, as the library solves it: its plans meet the optimality conditions and end in r.",
+        "The library's plans for V3 satisfy the optimality conditions and end in r.",
         method="numerical sampling",
         recorded="holds",
         stated=lambda effort: check_optimality(effort, "V3"),

@@ -1,4 +1,4 @@
-"""Lemma 2: a closed loop with V3 and r(k) -> 0 comes to rest; equations (25)-(38) of its proof, one by one."""
+"""Lemma 2: a closed loop with V3 and r(k) -> 0 converges to zero; equations (25)-(38) of its proof, one by one."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _claim = partial(
 )
 
 _STEPS = 40
-# Relative to the values of V3 at the same step; gains of up to a few hundred magnify rounding that much.
+# Relative to the values of V3 at the same step; gains of up to a few hundred magnify rounding.
 _ROUNDING = 1e-9
-# A loop has come to rest if its last state and input are below this share of the largest.
+# A loop has converged if its last state and input are below this share of the largest.
 _AT_REST = 1e-5
 
 Violation = Callable[[Terms, Bounds], Array]
@@ -49,9 +49,9 @@ Violation = Callable[[Terms, Bounds], Array]
 
 @cache
 def sample(seed: int, cases: int, error_decay: float = 0.6) -> tuple[tuple[Terms, Bounds], ...]:
-    """Draw and follow closed loops, of each of the sizes; kept, for all equations of the proof look at them."""
+    """Draw and run closed loops of all sizes; cached, since all equations of the proof use them."""
     rng = Effort(seed).rng("lemma-2")
-    each = max(3, -(-cases // len(SIZES)))  # every kind of run that there is
+    each = max(3, -(-cases // len(SIZES)))  # every kind of run
     loops = [follow(draw(rng, each, sizes, _STEPS, error_decay, weighted=True)) for sizes in SIZES]
     return tuple((t, bounds(t)) for t in loops)
 
@@ -64,7 +64,7 @@ def along(violation: Violation, effort: Effort, error_decay: float = 0.6) -> Evi
 
 
 def check_young(effort: Effort, skew: float = 0.0) -> Evidence:
-    """(29) for random symmetric Q and for the y that makes it tight.
+    """Check equation (29) for random symmetric Q and for the y that makes it tight.
 
     ``skew``: add a skew-symmetric part to Q, which does not change x'Qx.
     """
@@ -85,11 +85,11 @@ def check_young(effort: Effort, skew: float = 0.0) -> Evidence:
 
 
 def check_constant(effort: Effort, with_c: bool) -> Evidence:
-    """From (33) and (36) to (38), with Young's constant as printed or as is right.
+    """Derive (38) from (33) and (36), with Young's constant as printed or corrected.
 
-    An exact predictor and r(k) = 0, so that all beta are zero; r(k+1) such that Young's inequality is tight.
+    The predictor is exact and r(k) = 0, so all beta are zero; r(k+1) makes Young's inequality tight.
 
-    ``with_c``: take 2 rho-bar c < mu; otherwise 2 rho-bar < mu, as printed.
+    ``with_c``: use 2 rho-bar c < mu; otherwise 2 rho-bar < mu, as printed.
     """
     rng = effort.rng("eq-38.constant")
     excess = []
@@ -121,28 +121,28 @@ def check_rest(effort: Effort, floor: float = 0.0) -> Evidence:
     found: list[float] = []
     for sizes in SIZES:
         if floor and sizes[3]:
-            continue  # such an r is out of reach
+            continue  # such an r is not reachable
         setting = draw(rng, -(-effort.cases // len(SIZES)), sizes, 2 * _STEPS, 0.9, weighted=True)
         found.extend(float(end) for end in at_the_end(replace(setting, r=setting.r + floor)))
-    return Evidence(len(found), worst_of(found), _AT_REST, "r(k) is 1e-8 of what it was, the slowest loop not yet")
+    return Evidence(len(found), worst_of(found), _AT_REST, "r(k) has decreased to 1e-8, the slowest loop less")
 
 
 def check_gains(effort: Effort, floor: float = 0.1) -> Evidence:
-    """Run a model that approaches the plant and, with floor 0, loses controllability: its gains grow beyond bounds.
+    """Run a model that approaches the plant and, with floor 0, loses controllability: its gains are unbounded.
 
-    ``effort`` is not used: nothing is drawn.
-    ``floor``: how far the model's second state stays within reach; with a floor the gains are bounded, and e_1 decays
-    all the same because x and u do.
+    ``effort`` is not used, since nothing is random.
+    ``floor``: lower bound of the input gain of the model's second state. A positive one bounds the gains, and e_1 still
+    decays because x and u do.
     """
     last = float(at_the_end(losing(4000, floor))[0])
-    return Evidence(1, last, 5e-3, "r(k) = 1/(k+1) is 3e-4 of what it was, times the gain 1/floor")
+    return Evidence(1, last, 5e-3, "r(k) = 1/(k+1) has decreased to 3e-4, times the gain 1/floor")
 
 
 def check_turning(effort: Effort, spin: float | None = None, growth: float = PLANE) -> Evidence:
-    """Run a model that turns for ever in ever smaller steps, right about the step taken and about little else.
+    """Run a model that rotates for ever in ever smaller steps, exact for the applied step and for little else.
 
-    ``spin``: turn by this angle at every step instead.
-    ``growth`` is the plant's; with another one the model is wrong about the step taken too.
+    ``spin``: rotate by this angle at every step instead.
+    ``growth``: that of the plant; with another one the model is wrong about the applied step too.
     """
     k = np.arange(161.0)
     phase = np.sqrt(k) if spin is None else spin * k
@@ -152,11 +152,11 @@ def check_turning(effort: Effort, spin: float | None = None, growth: float = PLA
     last = phase[80:]
     if last[-1] - last[0] < np.pi / 2:
         return Evidence(0, np.nan)
-    return Evidence(len(x0), float(np.max(at_the_end(setting))), _AT_REST, "r(k) is 5e-8 of what it was")
+    return Evidence(len(x0), float(np.max(at_the_end(setting))), _AT_REST, "r(k) has decreased to 5e-8")
 
 
 def check_second_step(effort: Effort, growth: float = PLANE) -> Evidence:
-    """Look whether the model's two-step errors stay at least a tenth of the state while its one-step errors vanish.
+    """Check that the model's two-step errors stay at least a tenth of the state while its one-step errors vanish.
 
     ``growth`` is the plant's; the model is made for the default.
     """
@@ -182,7 +182,7 @@ def _step(
     reason: str = "",
     **more: Any,
 ) -> Claim:
-    """Return the claim of one equation; ``printed`` are the switches that take it as printed, where that fails.
+    """Return the claim of one equation; ``printed``: the switches for its printed form, if that fails.
 
     ``more``: further fields of the claim.
     """
@@ -210,7 +210,8 @@ _ONE_STEP = (
 )
 _GAMMA = (
     "gamma is at most gamma_1 x'x + gamma_2 r'r + gamma_3 with a constant gamma_3(k) -> 0: r(k+1) is not bounded by "
-    "r(k), as x(k) = r(k) = 0 with r(k+1) != 0 shows. It goes to zero because r(k) does, and changes no conclusion."
+    "r(k), as x(k) = r(k) = 0 with r(k+1) != 0 shows. It goes to zero because r(k) does, and does not change any "
+    "conclusion."
 )
 
 CLAIMS: tuple[Claim, ...] = (
@@ -228,11 +229,11 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-2.gains",
         "Lemma 2",
         "convergenceMPC3",
-        "Assumption 5(a) is needed: with it the loop rests, and a model that loses controllability in the limit can "
-        "keep the loop from it although r(k) -> 0 and every other assumption holds.",
+        "Assumption 5(a) is needed: with it the loop converges to zero, and a model that loses controllability in the "
+        "limit can prevent this although r(k) -> 0 and every other assumption holds.",
         method="simulation",
         stated=check_gains,
-        control=Control("gains that grow beyond bounds", lambda effort: check_gains(effort, floor=0.0)),
+        control=Control("unbounded gains", lambda effort: check_gains(effort, floor=0.0)),
         uses=("lemma-2",),
         proof="",
     ),
@@ -243,14 +244,15 @@ CLAIMS: tuple[Claim, ...] = (
         "The maps need not converge: with the other assumptions, bounded maps whose steps go to zero are enough.",
         method="simulation",
         stated=check_turning,
-        control=Control("a model that turns by half a radian at every step", partial(check_turning, spin=0.5)),
+        control=Control("a model that rotates by half a radian at every step", partial(check_turning, spin=0.5)),
         uses=("assumption-3", "assumption-4b", "assumption-5", "lemma-2.conclusion", "lemma-2.input"),
     ),
     _claim(
         "lemma-2.one-step",
         "Lemma 2",
         "convergenceMPC3",
-        "Of (8) only i = 1 is used: the loop rests although predictions over two steps stay wrong by a share of x.",
+        "Only i = 1 of (8) is used: the loop converges to zero although two-step predictions keep an error of a share "
+        "of x.",
         method="simulation",
         stated=check_second_step,
         control=Control(
@@ -269,8 +271,8 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-25",
         "V0",
-        "The increment of V3 is a change of terminal state at time k+1 plus a step of time with r~+ as terminal state: "
-        "the three problems are feasible, and have the values that their value matrices give.",
+        "The increment of V3 is a change of terminal state at time k+1 plus a time step with r~+ as terminal state: "
+        "the three problems are feasible, and their values are those of the value matrices.",
         steps.split,
         ("the middle value of the second part taken with the maps of time k", {"stale": True}),
         uses=("eq-26", "eq-11"),
@@ -278,9 +280,9 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-26",
         "rt",
-        "r~+ is where the maps of time k+1 take the shifted plan nu_1 ... nu_{N-1}, 0.",
+        "r~+ is the end of the shifted plan nu_1 ... nu_{N-1}, 0 under the maps of time k+1.",
         steps.shifted_end,
-        ("another last input than zero", {"last": 1.0}),
+        ("a nonzero last input", {"last": 1.0}),
         kind="definition",
         proof="",
     ),
@@ -297,7 +299,7 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-28",
         "",
-        "w_i consists of the one-step error and of the steps that the maps take from k to k+1.",
+        "w_i consists of the one-step error and of the changes of the maps from k to k+1.",
         steps.written_w,
         ("the one-step error left out", {"printed": True}),
         printed={"printed": True},
@@ -327,7 +329,8 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-31",
         "eq2",
-        "The cost of the shifted plan is that of the old predictions, moved by w, and of the old inputs but the first.",
+        "The cost of the shifted plan is that of the old predictions, moved by w, and of the old inputs except the "
+        "first.",
         steps.shifted_cost,
         ("w left out", {"with_w": False}),
         uses=("eq-27",),
@@ -335,7 +338,7 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-32",
         "V1",
-        "By optimality the step of time costs at most -x'Qx - nu_0'R nu_0 plus terms in r and w.",
+        "By optimality the time step changes V3 by at most -x'Qx - nu_0'R nu_0 plus terms in r and w.",
         steps.first_bound,
         ("the products of xi and w left out", {"cross": False}),
         uses=("eq-26", "eq-31"),
@@ -364,8 +367,8 @@ CLAIMS: tuple[Claim, ...] = (
         steps.end_with_w,
         ("r + w_N", {"printed": True}),
         printed={"printed": True},
-        reason="Above (34) r~+ = A_1(k) r + w_N is derived; below (36) it is written r + w_N. The bounds change by the "
-        "factor |A_1(k)|^2 only.",
+        reason="Above (34) r~+ = A_1(k) r + w_N is derived; below (36) it is printed as r + w_N. The bounds change "
+        "only by the factor |A_1(k)|^2.",
         uses=("assumption-4b", "eq-27"),
     ),
     _step(
@@ -397,7 +400,7 @@ CLAIMS: tuple[Claim, ...] = (
     _step(
         "eq-37",
         "V3a",
-        "The change of terminal state costs at most rho-bar c (x'x + nu_0'nu_0) plus the bound of gamma.",
+        "The change of terminal state increases V3 by at most rho-bar c (x'x + nu_0'nu_0) plus the bound of gamma.",
         steps.second_step,
         ("the constant term left out", {"constant": False}),
         printed={"constant": False},
@@ -423,7 +426,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_constant, with_c=False),
         corrected=partial(check_constant, with_c=True),
         control=Control("2 rho-bar < mu, as printed", partial(check_constant, with_c=False)),
-        reason="2 rho-bar < mu should read 2 rho-bar c < mu, with c from (37); where c > 1, as for a plant with large "
+        reason="2 rho-bar < mu should read 2 rho-bar c < mu, with c from (37); if c > 1, as for a plant with large "
         "A, (38) fails with the printed choice.",
         uses=("eq-33", "eq-36"),
     ),
@@ -434,8 +437,8 @@ CLAIMS: tuple[Claim, ...] = (
         steps.contracts_up_to_delta,
         ("delta left out", {"with_delta": False}),
         printed={"falling": True},
-        reason="The right side of (38) is not negative for all large k and x(k) != 0: V3 rises whenever r(k+1) is "
-        "large beside x(k). What follows, with V3 <= s (x'x + r'r), is V3+ <= (1 - kappa/s) V3 + delta(k) and "
+        reason="The right side of (38) is not negative for all large k and x(k) != 0: V3 increases whenever r(k+1) is "
+        "large compared with x(k). With V3 <= s (x'x + r'r) it follows that V3+ <= (1 - kappa/s) V3 + delta(k) and "
         "delta(k) -> 0, and such a sequence goes to zero.",
         uses=("assumption-5", "eq-38", "lemma-1.a.value", "lemma-2.positive"),
     ),
@@ -448,7 +451,7 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(along, steps.value_at_rest),
         corrected=partial(along, steps.input_by_gains),
         control=Control("r(k) left out of the bound", partial(along, partial(steps.input_by_gains, with_r=False))),
-        reason="V3(0, p_3) = 0 holds for r = 0 only; otherwise it is r'S_5 r. The input goes to zero because "
+        reason="V3(0, p_3) = 0 holds only for r = 0; otherwise it is r'S_5 r. The input goes to zero because "
         "u = K_3 x + K_4 r with bounded gains.",
         uses=("assumption-5", "lemma-1.a", "lemma-2.conclusion"),
     ),

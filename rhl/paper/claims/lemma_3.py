@@ -1,4 +1,4 @@
-"""Lemma 3: how close to the best terminal state a plan of V1 ends, with an explicit constant."""
+"""Lemma 3: the distance of V1's terminal state from the best one, with an explicit constant."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ _ROUNDING = 1e-9
 
 
 def size_of(plan: Plan) -> float:
-    """Return the sum of |xi_i|^2 + |nu_i|^2 over i = 0 ... N-1, which Gamma has to dominate."""
+    """Return the sum of |xi_i|^2 + |nu_i|^2 over i = 0 ... N-1, which Gamma must dominate."""
     return float(np.sum(plan.x[:-1] ** 2) + np.sum(plan.u**2))
 
 
 def rho(Q: Array, R: Array, c: float) -> float:
-    """Return max(lambda_max(Q), lambda_max(R)) / c: the constant that the lemma says exists."""
+    """Return max(lambda_max(Q), lambda_max(R)) / c: the constant of the lemma."""
     return float(max(np.linalg.eigvalsh(Q)[-1], np.linalg.eigvalsh(R)[-1]) / c)
 
 
 def draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array, Array, Array]:
-    """Draw maps that cannot steer everything, weights Q, R, Q_N and a state."""
+    """Draw maps that are not controllable, weights Q, R, Q_N and a state."""
     n, q = int(rng.integers(2, 4)), int(rng.integers(1, 3))
     maps = random_maps(rng, n, q, int(rng.integers(n, 6)))
     unsteered = float(rng.choice([0.0, 1e-3, 1.0]))
@@ -46,7 +46,7 @@ def ratio(
 ) -> tuple[float, float]:
     """Return (x_N'Q_N x_N - V2) / (epsilon rho), at most 1 by the lemma, and its rounding, from x, shape (n,).
 
-    Gamma is gamma_factor times the size of V2's solution; c makes it as small as the lemma allows.
+    Gamma is gamma_factor times the size of V2's solution; c makes it the smallest that the lemma allows.
     """
     best = solve(V2(maps, QN, maps.horizon), x)
     gamma = gamma_factor * size_of(best)
@@ -57,10 +57,10 @@ def ratio(
 
 
 def check_bound(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
-    """Find by how much (12) is exceeded with the explicit rho, over epsilon from 1e-10 to 1e3 and c from 0.01 to 100.
+    """Find the violation of (12) with the explicit rho, over epsilon from 1e-10 to 1e3 and c from 0.01 to 100.
 
     Gamma is c times the size of V2's solution, or up to a hundred times more.
-    ``gamma_factor``: below 1, Gamma is smaller than the lemma asks for by that factor.
+    ``gamma_factor``: factor on Gamma; below 1, Gamma is smaller than the lemma requires.
     """
     rng, excess = effort.rng("lemma-3"), []
     for _ in range(effort.cases):
@@ -70,15 +70,15 @@ def check_bound(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
         ):
             found, rounding = ratio(*case, float(epsilon), gamma_factor * c * float(more), c)
             excess.append(found - 1 - rounding)
-        # The case that comes nearest, where terminal term and stages weigh about the same.
+        # The extreme case, where terminal term and stages have about the same weight.
         excess.append(ratio(*scalar_case(100.0), c * (1 + 100.0**2), gamma_factor * c, c)[0] - 1)
     return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding; that of x_N is taken off at small epsilon")
 
 
 def check_step(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
-    """Check the inequality behind (39): V1 costs no more than V2's solution does, and that is bounded by rho Gamma.
+    """Check the inequality behind (39): V1 is at most the cost of V2's solution, which is bounded by rho Gamma.
 
-    ``gamma_factor``: below 1, Gamma is smaller than the lemma asks for.
+    ``gamma_factor``: factor on Gamma; below 1, Gamma is smaller than the lemma requires.
     """
     rng, excess = effort.rng("eq-39"), []
     for _ in range(effort.cases):
@@ -96,7 +96,7 @@ def check_step(effort: Effort, gamma_factor: float = 1.0) -> Evidence:
 
 
 def scalar_case(a: float) -> tuple[PredictorMaps, Array, Array, Array, Array]:
-    """Return x+ = a x + u with N = 1 and weights one, where a quarter of rho is nearly reached if a is large.
+    """Return x+ = a x + u with N = 1 and weights one, where a quarter of rho is nearly attained for large a.
 
     There x_N'Q_N x_N - V2 = eps rho * s a^2 / ((1 + s)^2 (1 + a^2)) with the terminal weight s = Gamma/eps.
     """
@@ -105,15 +105,15 @@ def scalar_case(a: float) -> tuple[PredictorMaps, Array, Array, Array, Array]:
 
 
 def check_quarter(effort: Effort, share: float = 0.25) -> Evidence:
-    """Find by how much the excess of (12) passes that share of eps rho, over random maps and the scalar case.
+    """Find the violation of (12) with that share of eps rho, over random maps and the scalar case.
 
-    ``share``: a quarter; no smaller constant will do.
+    ``share``: a quarter, the smallest possible constant.
     """
     rng, excess = effort.rng("lemma-3.quarter"), []
     for _ in range(effort.cases):
         for case in (draw(rng), scalar_case(100.0)):
             best = size_of(solve(V2(case[0], case[3], case[0].horizon), case[4]))
-            # Most is left where the terminal term weighs about as much as the stages.
+            # The excess is largest if the terminal term has about the weight of the stages.
             for epsilon in best * 10.0 ** rng.uniform(-2, 2, 2):
                 found, rounding = ratio(*case, epsilon, 1.0)
                 excess.append(found - share - rounding)
@@ -123,7 +123,7 @@ def check_quarter(effort: Effort, share: float = 0.25) -> Evidence:
 
 
 def sharpness(effort: Effort) -> float:
-    """Return the largest ratio (x_N'Q_N x_N - V2) / (epsilon rho) seen over random maps and a grid of epsilon."""
+    """Return the largest ratio (x_N'Q_N x_N - V2) / (epsilon rho) over random maps and a grid of epsilon."""
     rng = effort.rng("lemma-3.sharp")
     cases = [draw(rng) for _ in range(effort.cases)]
     return max(ratio(*case, epsilon, 1.0)[0] for case in cases for epsilon in 10.0 ** np.linspace(-3, 3, 13))
@@ -134,7 +134,8 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-3",
         "Lemma 3",
         "lem1a",
-        "A plan of V1 ends with x_N'Q_N x_N <= V2 + eps rho; rho = max(lambda_max(Q), lambda_max(R)) / c will do.",
+        "A plan of V1 ends with x_N'Q_N x_N <= V2 + eps rho; rho = max(lambda_max(Q), lambda_max(R)) / c is "
+        "sufficient.",
         method="numerical sampling",
         recorded="holds",
         stated=check_bound,
@@ -145,7 +146,7 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-3.quarter",
         "Lemma 3",
         "lem1a",
-        "A quarter of that rho will do, max(lambda_max(Q), lambda_max(R)) / (4c), and no smaller constant.",
+        "A quarter of that rho, max(lambda_max(Q), lambda_max(R)) / (4c), is sufficient, and no smaller constant is.",
         method="numerical sampling",
         recorded="holds",
         stated=check_quarter,
@@ -168,7 +169,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-39",
         "Equation 39",
         "contra1",
-        "V1 costs at most what V2's solution does, whose stages cost at most rho Gamma.",
+        "V1 is at most the cost of V2's solution, whose stage costs are at most rho Gamma.",
         method="numerical sampling",
         recorded="holds",
         stated=check_step,

@@ -1,4 +1,4 @@
-"""Lemma 4: proximal iterations for time-varying functions with a common minimiser, and what is left of it."""
+"""Lemma 4: proximal iterations for time-varying functions with a common minimiser, and weaker results that hold."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from rhl.paper.claims.proximal import (
 
 _claim = partial(Claim, page="notebooks/09-lemma-4.ipynb", test="tests/paper/claims/test_lemma_4.py")
 
-# What converges must have come this close; the control is a thousandth away at least.
+# Convergence means this distance; in the control it is at least a thousandth.
 _ARRIVED = 1e-6
 
 
 def _along(
     name: str, excess: Callable[[Run, Array], Array], consistent: bool = True, generator: Mirror | None = None
 ) -> Callable[[Effort], Evidence]:
-    """Make a check of an inequality ``excess(run, x*) <= 0`` along random runs, relative to the size of D's terms."""
+    """Return a check of ``excess(run, x*) <= 0`` along random runs, relative to the size of D's terms."""
 
     def check(effort: Effort) -> Evidence:
         rng, found = effort.rng(name), []
@@ -70,7 +70,7 @@ def _pull_of_another(run: Run, target: Array) -> Array:
 def check_path(effort: Effort, rate: float = 1.5) -> Evidence:
     """Check the length of the path for functions whose gradients flatten: Lipschitz constants :math:`L_k = L k^{-e}`.
 
-    ``rate``: e of the functions; the bound always takes e = 1.5.
+    ``rate``: e of the functions; the bound always uses e = 1.5.
     """
     rng, found = effort.rng("lemma-4.summable"), []
     for _ in range(max(effort.cases, 40)):
@@ -91,10 +91,9 @@ def check_path(effort: Effort, rate: float = 1.5) -> Evidence:
 
 
 def check_interior(effort: Effort, radius: float | None = None) -> Evidence:
-    r"""Check the path where X holds a ball, :math:`D=|x-y|^2`: its length is at most :math:`|\tilde x_0-c|^2/(2r)`.
+    r"""Check the path if X contains a ball, :math:`D=|x-y|^2`: its length is at most :math:`|\tilde x_0-c|^2/(2r)`.
 
-    ``radius``: what the bound takes for r, on the spiral, whose X is a point; the true one, on random half-spaces, if
-    omitted.
+    ``radius``: the r of the bound, on the spiral, whose X is a point; by default the true one, on random half-spaces.
     """
     if radius is not None:
         run = spiral(3000)
@@ -113,7 +112,7 @@ def check_interior(effort: Effort, radius: float | None = None) -> Evidence:
 
 
 def check_recurrent(effort: Effort, forgotten: bool = False) -> Evidence:
-    """See runs end in X where each of finitely many functions comes back for ever, if after ever longer gaps."""
+    """Check that runs end in X if each of finitely many functions recurs for ever, possibly with ever longer gaps."""
     rng, found = effort.rng("lemma-4.recurrent"), []
     for _ in range(max(2, effort.cases // 20)):
         run, _, family = recurrent_run(rng, forgotten)
@@ -124,7 +123,7 @@ def check_recurrent(effort: Effort, forgotten: bool = False) -> Evidence:
 def check_common_minimiser(effort: Effort, noise: float = 0.0) -> Evidence:
     """Check (19) for the estimator: data of one signal model, hardly exciting, have a parameter that fits all of them.
 
-    ``noise``: added to the data, which then obey no signal model.
+    ``noise``: added to the data, which then satisfy no signal model.
     """
     rng, found = effort.rng("eq-19"), []
     for _ in range(effort.cases):
@@ -144,7 +143,7 @@ def check_common_minimiser(effort: Effort, noise: float = 0.0) -> Evidence:
 def check_iteration(effort: Effort, library: float = 1.0) -> Evidence:
     """Check that the library's estimator is (20): one transition, compared with the general proximal step row by row.
 
-    ``library``: weight of the generator that the library is given; the iteration takes 1.
+    ``library``: weight of the library's generator; the iteration has 1.
     """
     rng, found = effort.rng("eq-20"), []
     estimator = ProximalEstimator(1, generator=WeightedSquares(library))
@@ -203,8 +202,8 @@ CLAIMS: tuple[Claim, ...] = (
     _claim(
         "lemma-4.interior",
         *_LEMMA,
-        "With D = |x-y|^2, if X holds a ball of radius r around c, the path has length at most |x~_0 - c|^2 / (2 r), "
-        "and the iterates converge, though not always into X.",
+        "With D = |x-y|^2, if X contains a ball of radius r around c, the path has length at most |x~_0 - c|^2 / (2 "
+        "r), and the iterates converge, though not always into X.",
         "numerical sampling",
         "holds",
         stated=check_interior,
@@ -215,7 +214,7 @@ CLAIMS: tuple[Claim, ...] = (
     _claim(
         "lemma-4.recurrent",
         *_LEMMA,
-        "If f(.,k) is taken from finitely many functions, each of which comes back for ever, after gaps however long, "
+        "If f(.,k) is one of finitely many functions, each of which recurs for ever, after gaps of any length, "
         "the iterates converge to a point of X.",
         "numerical sampling",
         "holds",
@@ -229,8 +228,8 @@ CLAIMS: tuple[Claim, ...] = (
         "assumption-6",
         "Assumption 6",
         "zerovalue",
-        "Loss and generator are continuously differentiable and strictly convex, the loss smallest at zero only: the "
-        "library's weighted squares are.",
+        "Loss and generator are continuously differentiable and strictly convex, and the loss has its minimum only at "
+        "zero: the library's weighted squares satisfy this.",
         "numerical sampling",
         "holds",
         stated=check_assumption_6,
@@ -244,7 +243,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Equation 19",
         "eq:nonempty2",
         "The sets of minimisers have a common point: for the estimator, every parameter of a signal model that fits "
-        "all data is one, however little the data excite.",
+        "all data is one, even if the data do not excite.",
         "numerical sampling",
         "holds",
         stated=check_common_minimiser,
@@ -319,7 +318,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-45",
         "Equation 45",
         "l1",
-        "Mixing averages the distances to x* at most, and the new minimiser is nearer to x* by D(x*_{k+1}, x~_k) and "
+        "Mixing at most averages the distances to x*, and the new minimiser is nearer to x* by D(x*_{k+1}, x~_k) and "
         "the residual.",
         "numerical sampling",
         "holds",

@@ -1,4 +1,4 @@
-"""Where Lemma 4 fails as stated: iterates that settle outside X, and iterates that never settle."""
+"""Counterexamples to Lemma 4 as stated: iterates that converge outside X, and iterates that do not converge."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from rhl.paper.claims.proximal import (
 
 _claim = partial(Claim, page="notebooks/09-lemma-4.ipynb", test="tests/paper/claims/test_lemma_4.py")
 
-# What has come this close to X has arrived.
+# Convergence to X means this distance.
 _ARRIVED = 1e-6
 
 
 def path_growth(points: Array) -> float:
-    """Return how much longer the second half of a path is than the quarter before it, less one; points (K+1, d).
+    """Return the length of a path's second half relative to the quarter before it, minus one; points (K+1, d).
 
-    If it is shorter, again and again, the path has a finite length and the points converge. A path that turns for ever
-    has halves that grow. -1 for a path that has come to rest.
+    If it is always shorter, the path has a finite length and the points converge. A path that rotates for ever has
+    growing halves. The value is -1 for a constant path.
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     half, quarter = len(steps) // 2, len(steps) // 4
@@ -43,7 +43,7 @@ def path_growth(points: Array) -> float:
 def check_limit_outside(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
     """Enclose the limit and compare it with 0.069, where zero is the only common minimiser.
 
-    No evidence where the enclosure is too wide to tell.
+    No evidence if the enclosure is too wide to decide.
     """
     low, high = shrinking_limit(ratio, 60)
     wanted = Fraction(69, 1000)
@@ -53,7 +53,7 @@ def check_limit_outside(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evi
 
 
 def check_no_limit(effort: Effort, exponent: float = 0.75) -> Evidence:
-    """Verify the spiral's step symbolically, and its bounds: the norm stays, the angle passes 0.84 (K^(1/4) - 1)."""
+    """Verify the spiral's step symbolically, and its bounds of the norm and of the angle, 0.84 (K^(1/4) - 1)."""
     norm, angle = tangential_turns(1_000_000, exponent)
     checkpoints = 10 ** np.arange(7)
     violations = [0.0 if turn_identity() else 1.0, float(np.sqrt(7 / 16) - norm[-1])]
@@ -62,7 +62,7 @@ def check_no_limit(effort: Effort, exponent: float = 0.75) -> Evidence:
 
 
 def returning_runs() -> list[tuple[Run, float]]:
-    """Return runs for which Lemma 4 holds: lines that come back, and functions that fade too slowly to stop short."""
+    """Return runs for which Lemma 4 holds: recurring lines, and functions that decay slowly enough."""
     lines = [Ridge(np.eye(2)[k % 2], 0.0) for k in range(100)]
     slow = [Ridge(np.ones(1), 0.0, weight=1 / (k + 1)) for k in range(3000)]
     return [
@@ -72,9 +72,9 @@ def returning_runs() -> list[tuple[Run, float]]:
 
 
 def failing_runs() -> list[tuple[Run, float]]:
-    """Return the two counterexamples, each with the sum of the shares by which all later steps shorten the iterate."""
+    """Return the two counterexamples, each with the summed shares by which later steps reduce the norm."""
     fading = [Ridge(np.ones(1), 0.0, weight=0.5**k) for k in range(100)]
-    # 1/(1+t) is at least 1 - t; the root of 1 - 3 delta^2 / 4 at least that itself, delta^2 = k^(-3/2) / 4.
+    # 1/(1+t) is at least 1 - t, and the root of 1 - 3 delta^2 / 4 at least 1 - 3 delta^2 / 4, delta^2 = k^(-3/2) / 4.
     return [
         (iterate(fading, Squares(0.5), np.ones(1), np.zeros(100)), 4 * 0.5**100),
         (spiral(2000), 3 / 16 * 2 / math.sqrt(2000)),
@@ -88,11 +88,11 @@ def parted_run() -> Run:
 
 
 def check_convergence(effort: Effort, failing: bool = True, consistent: bool = True) -> Evidence:
-    """Lemma 4 as stated on sequences with X = {0}: by how much the iterates stay away from zero for ever.
+    """Check Lemma 4 as stated on sequences with X = {0}: bound the limit of the distance from zero.
 
-    The distance never grows, so that its last value bounds all later ones; what all later steps can take from it bounds
-    them from below. A run that these bounds do not decide is no evidence. ``failing`` False: without the two
-    counterexamples. ``consistent`` False: with lines that have no point in common, how far the farthest one is away.
+    The distance never grows, so its last value bounds all later ones; the largest total decrease in later steps gives a
+    lower bound. A run that these bounds do not decide is no evidence. ``failing`` False: without the two
+    counterexamples. ``consistent`` False: with lines without a common point, the distance of the farthest one.
     """
     found = []
     for run, later in [*returning_runs(), *(failing_runs() if failing else [])]:
@@ -102,7 +102,7 @@ def check_convergence(effort: Effort, failing: bool = True, consistent: bool = T
     if not consistent:
         run = parted_run()
         found.append(max(abs(float(f.a @ run.centres[-1]) - f.b) for f in run.functions))
-    return Evidence(len(found), worst_of(found), _ARRIVED, "what counts as arrived")
+    return Evidence(len(found), worst_of(found), _ARRIVED, "the distance that counts as convergence")
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -124,8 +124,8 @@ CLAIMS: tuple[Claim, ...] = (
         ),
         reason="The proof goes from 'the steps tend to zero' to 'the sequence converges', and from there to 'the "
         "limit is in X'; both can fail: for f = 2^-k x^2 the limit is outside X (lemma-4.limit-outside), for "
-        "f = (d_k'x)^2 with nearly tangential d_k there is none (lemma-4.no-limit). What does hold: lemma-4.weak; with "
-        "one more hypothesis: lemma-4.growing, lemma-4.summable, lemma-4.interior, lemma-4.recurrent.",
+        "f = (d_k'x)^2 with nearly tangential d_k there is none (lemma-4.no-limit). Claim lemma-4.weak holds; with "
+        "one more hypothesis, so do lemma-4.growing, lemma-4.summable, lemma-4.interior, lemma-4.recurrent.",
         uses=("eq-46",),
     ),
     _claim(
@@ -133,7 +133,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Lemma 4",
         "timevaryingmin",
         "For f(x,k) = 2^-k x^2 and D = |x-y|^2/2 the iterates from x = 1 converge to a number above 0.069, although "
-        "zero is the only common minimiser: functions may fade too fast.",
+        "zero is the only common minimiser: functions may decay too fast.",
         "exact arithmetic",
         "holds",
         stated=check_limit_outside,
@@ -146,7 +146,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Lemma 4",
         "timevaryingmin",
         "For f(x,k) = (d_k'x)^2 in the plane, d_k'x_k = k^(-3/4) |x_k| / 2, the steps tend to zero, the norm stays "
-        "above 0.66, and the iterates turn around zero, the only common minimiser, for ever.",
+        "above 0.66, and the iterates rotate around zero, the only common minimiser, for ever.",
         "symbolic identity",
         "holds",
         stated=check_no_limit,

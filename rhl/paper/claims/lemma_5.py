@@ -29,7 +29,7 @@ _EXACT = "exact: rational numbers"
 
 def is_controllable(A: Any, B: Any) -> bool:
     """Decide controllability of a pair of integers or fractions exactly, by the rank of [B, AB, ...]."""
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     A, block = sp.Matrix(A), sp.Matrix(B)
     C = block
@@ -56,9 +56,9 @@ def hidden_modes(rng: np.random.Generator, n: int, q: int) -> Pair:
 
 
 def pairs_deaf_together(rng: np.random.Generator, n: int, q: int, count: int) -> Iterator[tuple[Pair, Pair]]:
-    """Yield two different integer pairs, neither of them controllable, whose unreached modes are the same directions.
+    """Yield two different integer pairs, neither of them controllable, with the same uncontrollable directions.
 
-    So no mixture of them is controllable: what Lemma 5 says of mixing fails.
+    So no mixture of them is controllable, and Lemma 5's conclusion fails.
     """
     made = 0
     while made < count:
@@ -71,7 +71,7 @@ def pairs_deaf_together(rng: np.random.Generator, n: int, q: int, count: int) ->
 
 def _hidden_together(rng: np.random.Generator, n: int, q: int, count: int) -> Iterator[Pair]:
     dead, shears = int(rng.integers(1, n + 1)), []
-    for _ in range(n):  # shears keep everything an integer
+    for _ in range(n):  # shears keep all entries integer
         i, j = rng.choice(n, 2, replace=False) if n > 1 else (0, 0)
         shears += [(i, j)] if i != j else []
     for _ in range(count):
@@ -86,12 +86,12 @@ def _hidden_together(rng: np.random.Generator, n: int, q: int, count: int) -> It
 
 
 def crossing_pairs(n: int, roots: Sequence[Fraction]) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Build pairs with as many bad lambdas as there can be: diagonal, with every mixture that can fail failing.
+    """Build diagonal pairs with the largest possible number of bad lambdas.
 
-    With A(lambda) = diag(alpha_i(lambda)) and B(lambda) = (beta_i(lambda)), all straight lines, the determinant of
+    With A(lambda) = diag(alpha_i(lambda)) and B(lambda) = (beta_i(lambda)), all linear in lambda, the determinant of
     the controllability matrix is the product of all beta_i and of all alpha_j - alpha_i: n(n+1)/2 linear factors.
     ``roots`` are where beta_1, ..., beta_n vanish; one of them at 0. The lines alpha_i cross pairwise inside (0, 1), at
-    different places. A and B are lists of lists of Fraction.
+    different points. A and B are lists of lists of Fraction.
     """
     # Squares break the symmetry that would let three lines cross in one point.
     start = [Fraction(i * i + i, n * n) for i in range(n)]
@@ -105,7 +105,7 @@ def polynomial(first: tuple[Any, Any], second: tuple[Any, Any], columns: Sequenc
     """Return p(lambda) = det(C C'), or the minor of C on some columns, over the mixture, exactly.
 
     ``first``, ``second``: at lambda = 0 and at lambda = 1.
-    ``columns``: n columns of [B, AB, ..., A^(n-1) B]; all and their Gram determinant where omitted.
+    ``columns``: n columns of [B, AB, ..., A^(n-1) B]; by default all, with their Gram determinant.
     """
     import sympy as sp
     from sympy.polys.matrices import DomainMatrix
@@ -119,12 +119,12 @@ def polynomial(first: tuple[Any, Any], second: tuple[Any, Any], columns: Sequenc
         blocks.append(A * blocks[-1])
     C = blocks[0].hstack(*blocks[1:]) if n > 1 else blocks[0]
     square = C * C.transpose() if columns is None else C.extract(list(range(n)), list(columns))
-    # The last coefficient of the characteristic polynomial is (-1)^n det, and comes without division.
+    # The last coefficient of the characteristic polynomial is (-1)^n det, and needs no division.
     return sp.Poly((-1) ** n * square.charpoly()[-1].as_expr(), x)
 
 
 def nice_columns(A: Any, B: Any) -> list[int]:
-    """Return the columns of [B, AB, ...] that a scan from the left finds independent.
+    """Return the independent columns of [B, AB, ...] in a scan from the left.
 
     If a column A^k b_j is skipped, so are all A^l b_j with l > k; so the kept ones are b_j, ..., A^(mu_j - 1) b_j with
     mu_1 + ... + mu_q = n for a controllable pair.
@@ -154,7 +154,7 @@ _SIZES = ((1, 1), (2, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2))
 
 
 def check_lemma(effort: Effort, draw: Draw = random_pairs) -> Evidence:
-    """Count integer pairs for which all of 2n^2 + 1 candidates are bad, or as many are as p cannot have roots.
+    """Count integer pairs for which all of 2n^2 + 1 candidates are bad, or more than the degree of p.
 
     ``draw``: the pairs that are mixed.
     """
@@ -171,14 +171,14 @@ def check_lemma(effort: Effort, draw: Draw = random_pairs) -> Evidence:
 
 
 def check_count(effort: Effort, fewer: int = 0) -> Evidence:
-    """Count pairs for which n(n+1)/2 - fewer nonzero candidates are all bad, an adversary's among them.
+    """Count pairs, including an adversary's, for which n(n+1)/2 - ``fewer`` nonzero candidates are all bad.
 
-    The candidates are those that the library tries first; the adversary knows them. ``fewer``: try so many fewer.
+    The candidates are the first ones of the library; the adversary knows them. ``fewer``: reduction of their number.
     """
     rng, faults, cases = effort.rng("lemma-5.count"), 0, 0
     for n, q in (*_SIZES, (5, 1)):
         if degree_bound(n) <= fewer:
-            continue  # without a candidate there is nothing to find
+            continue  # no candidate, no check
         tried = library_grid(n, "sharp")[: degree_bound(n) - fewer]
         drawn = random_pairs(rng, n, q, max(1, effort.cases // 25)) if n < 5 else iter(())
         spoiled = [spoiling_pairs(n, library_grid(n, "sharp")[:-1])] if q == 1 else []
@@ -191,14 +191,14 @@ def check_count(effort: Effort, fewer: int = 0) -> Evidence:
 
 
 def library_grid(n: int, count: Count) -> list[Fraction]:
-    """Return the library's candidates for order n as the exact numbers that they are in floating point."""
+    """Return the library's candidates for order n as exact fractions of their floating-point values."""
     return [Fraction(float(x)) for x in candidates(n, 0.9, count)]
 
 
 def check_sharp(effort: Effort, more: int = 0) -> Evidence:
-    """See whether any n(n+1)/2 - 1 candidates given beforehand can all be spoiled, for n = 2, ..., 5.
+    """Check that all of n(n+1)/2 - 1 given candidates can be made bad, for n = 2, ..., 5.
 
-    They are the first ones of the paper's grid, and random ones. ``more``: see whether so many more are spoiled.
+    They are the first ones of the paper's grid, and random ones. ``more``: additional candidates.
     """
     rng, faults, cases = effort.rng("lemma-5.sharp"), 0, 0
     for n in range(2, 6):
@@ -223,9 +223,9 @@ def _sympy(x: Fraction) -> sp.Rational:
 
 
 def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
-    """Find by how much the degree of any n-minor exceeds its bound, over random pairs and all minors.
+    """Find the excess of the degree of any n-minor over its bound, over random pairs and all minors.
 
-    ``lower``: lower the bound by that much.
+    ``lower``: decrease of the bound.
     """
     rng, excess = effort.rng("lemma-5.minors"), []
     for n, q in ((1, 1), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)):
@@ -236,9 +236,9 @@ def check_any_minor(effort: Effort, lower: int = 0) -> Evidence:
 
 
 def check_search(effort: Effort, *, mix: bool = True) -> Evidence:
-    """Run the library's search on random pairs that are not controllable, and see by how much it misses the margin.
+    """Run the library's search on random pairs that are not controllable, and find the shortfall of the margin.
 
-    ``mix`` False leaves the estimate as it is.
+    ``mix`` False: keep the estimate.
     """
     rng, short = effort.rng("lemma-5.search"), []
     for n, q in _SIZES:
@@ -261,7 +261,7 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=check_lemma,
         control=Control(
-            "a different second pair, whose inputs miss the same directions",
+            "a second pair with the same uncontrollable directions",
             partial(check_lemma, draw=pairs_deaf_together),
         ),
         proof="notebooks/10-lemma-5.ipynb#proof-lemma-5",
@@ -283,8 +283,8 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-5.sharp",
         "Lemma 5",
         "staycontrollable",
-        "That count is sharp: whatever n(n+1)/2 - 1 nonzero candidates are chosen beforehand, there are pairs, the one "
-        "mixed in controllable, for which all of them are bad.",
+        "That count is sharp: for any n(n+1)/2 - 1 nonzero candidates chosen beforehand, there are pairs, with the "
+        "one mixed in controllable, for which all of them are bad.",
         method="exact arithmetic",
         recorded="holds",
         stated=check_sharp,
@@ -306,7 +306,7 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-5.search",
         "Lemma 5",
         "staycontrollable",
-        "In floating point the search finds a mixture whose margin reaches what is asked.",
+        "In floating point the search finds a mixture with the required margin.",
         method="numerical sampling",
         recorded="holds",
         stated=check_search,

@@ -23,7 +23,7 @@ from rhl.plants.analysis import (
 
 _claim = partial(Claim, page="notebooks/12-lemma-6.ipynb", test="tests/paper/claims/test_lemma_6.py")
 
-# Data of unit size pass through O and its pseudo-inverse, whose condition the construction keeps below 1e4.
+# Rounding of unit data in O and its pseudo-inverse, whose condition number is below 1e4 by construction.
 _DATA = 1e-9
 
 
@@ -35,10 +35,10 @@ def transition_misfits(model: SignalModel, y: Array, v: Array, m: int) -> Array:
 
 
 def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) -> Evidence:
-    """(18) on data of random plants with uncontrollable and unobservable modes, in unknown coordinates.
+    """Check equation (18) on data of random plants with uncontrollable and unobservable modes, in random coordinates.
 
-    ``first``: first k that is looked at; m - 1, from where the stacks are full of measurements, where omitted.
-    ``detune``: make the pair (55) of a plant whose input matrix is larger by that share.
+    ``first``: first checked k; by default m - 1, where the stacks are full of measurements.
+    ``detune``: relative increase of the input matrix in the pair (55).
     """
     rng = effort.rng("lemma-6.data")
     misfits = []
@@ -54,7 +54,7 @@ def check_data(effort: Effort, first: int | None = None, detune: float = 0.0) ->
 
 
 def check_index(effort: Effort, shorten: int = 0) -> Evidence:
-    """(18) with m equal to the observability index of (53), which may be far below n."""
+    """Check equation (18) with m equal to the observability index of (53), which may be far below n."""
     rng = effort.rng("lemma-6.index")
     misfits = []
     for _ in range(effort.cases):
@@ -68,9 +68,9 @@ def check_index(effort: Effort, shorten: int = 0) -> Evidence:
 
 
 def check_start(effort: Effort, earlier: int = 0) -> Evidence:
-    """(18) with zeros before k = 0, for the pair that predicts from the latest stacks of the observability index alone.
+    """Check equation (18) with zeros before k = 0, for a pair on stacks of the observability index.
 
-    ``earlier``: look so many transitions earlier than from that index less one on.
+    ``earlier``: start this many transitions before that index minus one.
     """
     rng, misfits = effort.rng("lemma-6.start"), []
     for _ in range(effort.cases):
@@ -85,7 +85,7 @@ def check_start(effort: Effort, earlier: int = 0) -> Evidence:
 
 
 def latest_pair(F: Array, G: Array, H: Array, index: int, m: int) -> SignalModel:
-    """Return the pair that predicts y(k+1) from the latest ``index`` outputs and inputs, and moves the others along."""
+    """Return the pair that predicts y(k+1) from the latest ``index`` outputs and inputs, and shifts the others."""
     p, q = H.shape[0], G.shape[1]
     short = signal_model(F, G, H, index)
     A, B = np.eye(m * p, k=-p), np.zeros((m * p, m * q))
@@ -94,9 +94,9 @@ def latest_pair(F: Array, G: Array, H: Array, index: int, m: int) -> SignalModel
 
 
 def check_feedback_step(effort: Effort, as_printed: bool) -> Evidence:
-    """Under v = K_s z_s, the proof's w(k) moves by F_s + G_s K_s.
+    """Check that under v = K_s z_s the proof's w(k) evolves by F_s + G_s K_s.
 
-    ``as_printed``: take w(k) = O' x(k), as printed, instead of O^+ (x(k) - R u(k-1)).
+    ``as_printed``: use w(k) = O' x(k), as printed, instead of O^+ (x(k) - R u(k-1)).
     """
     rng = effort.rng("lemma-6.proof")
     gaps = []
@@ -116,7 +116,7 @@ def check_feedback_step(effort: Effort, as_printed: bool) -> Evidence:
 
 
 def check_converse(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
-    """Under a stabilizing feedback of z_s the stacks go to zero, and the whole state z with them."""
+    """Check that under a stabilizing feedback of z_s the stacks go to zero, and with them the whole state z."""
     rng = effort.rng("lemma-6.converse")
     left = []
     for _ in range(max(1, effort.cases // 4)):
@@ -131,7 +131,7 @@ def check_converse(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
 
 
 def _stabilizing(F: Array, G: Array) -> Array:
-    from scipy.linalg import solve_discrete_are  # here, because it takes a while to load
+    from scipy.linalg import solve_discrete_are  # imported here, because loading it takes long
 
     P = solve_discrete_are(F, G, np.eye(len(F)), np.eye(G.shape[1]))
     return np.asarray(np.linalg.solve(np.eye(G.shape[1]) + G.T @ P @ G, G.T @ P @ F))
@@ -140,8 +140,8 @@ def _stabilizing(F: Array, G: Array) -> Array:
 def check_kalman(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
     """Recover the blocks of (52) from a plant in hidden coordinates, by invariant subspaces.
 
-    The unobservable subspace, and within its complement the controllable part, are found from the plant alone; in their
-    coordinates the blocks that (52) has as zero must be zero, and F_3, F_6 must be stable.
+    The unobservable subspace, and the controllable part of its complement, are computed from the plant. In their
+    coordinates the zero blocks of (52) must be zero, and F_3, F_6 must be stable.
 
     ``hidden_radius``: spectral radius of the unobservable block.
     """
@@ -163,9 +163,9 @@ def check_kalman(effort: Effort, hidden_radius: float = 0.8) -> Evidence:
 
 
 def check_subsystem(effort: Effort, leak: float = 0.0) -> Evidence:
-    """Compare the outputs of (52) with those of (53): the block z_3 is never seen.
+    """Compare the outputs of (52) with those of (53): the block z_3 does not affect them.
 
-    ``leak``: let z_3 into the output with this gain.
+    ``leak``: gain from z_3 to the output.
     """
     rng = effort.rng("eq-53")
     gaps = []
@@ -181,9 +181,9 @@ def check_subsystem(effort: Effort, leak: float = 0.0) -> Evidence:
 
 
 def check_stack(effort: Effort, shift: int = 0) -> Evidence:
-    """x(k) = O z_s(k-m+1) + R u(k-1), equation (54), along random runs.
+    """Check x(k) = O z_s(k-m+1) + R u(k-1), equation (54), along random runs.
 
-    ``shift``: take the state that many steps later than (54) says.
+    ``shift``: use the state that many steps later than in (54).
     """
     rng = effort.rng("eq-54")
     gaps = []
@@ -204,9 +204,9 @@ def check_stack(effort: Effort, shift: int = 0) -> Evidence:
 
 
 _ZERO_HISTORY = (
-    "With signals set to zero before k = 0, as the paper does, at most the first m - 1 transitions break (18): it "
+    "With signals set to zero before k = 0, as in the paper, at most the first m - 1 transitions violate (18). It "
     "holds from k = m - 1 on, once the stacks are full of measurements, and for a suitable pair from the observability "
-    "index less one on (lemma-6.start)."
+    "index minus one on (lemma-6.start)."
 )
 
 CLAIMS: tuple[Claim, ...] = (
@@ -228,7 +228,7 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-6.index",
         "Lemma 6",
         "finalstep",
-        "m need not reach n: the observability index of the observable part is enough.",
+        "m may be less than n: the observability index of the observable part is enough.",
         method="numerical sampling",
         recorded="holds",
         stated=check_index,
@@ -240,7 +240,8 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-6.start",
         "Lemma 6",
         "finalstep",
-        "With zeros before k = 0, a suitable pair obeys (18) from the observability index less one on, whatever m is.",
+        "With zeros before k = 0, a suitable pair satisfies (18) from the observability index minus one on, for every "
+        "m.",
         method="numerical sampling",
         recorded="holds",
         stated=check_start,
@@ -276,13 +277,13 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-6.proof",
         "Lemma 6",
         "finalstep",
-        "Under a feedback of z_s, the vector w(k) of the proof moves by F_s + G_s K_s.",
+        "Under a feedback of z_s, the vector w(k) of the proof evolves by F_s + G_s K_s.",
         method="numerical sampling",
         recorded="holds-corrected",
         stated=lambda effort: check_feedback_step(effort, as_printed=True),
         corrected=lambda effort: check_feedback_step(effort, as_printed=False),
         control=Control("w(k) as printed", lambda effort: check_feedback_step(effort, as_printed=True)),
-        reason="w_k = O'x_k mixes in past inputs; what moves so is O^+ (x(k) - R u(k-1)), which is z_s(k-m+1).",
+        reason="w_k = O'x_k includes past inputs; the vector O^+ (x(k) - R u(k-1)) = z_s(k-m+1) evolves like this.",
         uses=("eq-54",),
     ),
     _claim(
@@ -314,7 +315,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-53",
         "Equation 53",
         "subsys",
-        "The unobservable block is never seen: the outputs are those of the observable subsystem.",
+        "The unobservable block does not affect the outputs: they are those of the observable subsystem.",
         method="numerical sampling",
         recorded="holds",
         stated=check_subsystem,

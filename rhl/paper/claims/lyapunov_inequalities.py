@@ -1,7 +1,7 @@
-"""Equations (25)-(38), each as a function: by how much it is violated along closed loops, relative to V3.
+"""Equations (25)-(38), each as a function that returns its violation along closed loops, relative to V3.
 
-Each takes the terms of a loop and the constants of the bounds, and returns violations of any shape; a switch breaks it,
-or takes it as printed.
+Each takes the terms of a loop and the constants of the bounds, and returns violations of any shape. A switch violates
+it, or uses its printed form.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from rhl.horizon import Plan, solve
 from rhl.model import SignalModel
 from rhl.paper.claims.lyapunov_terms import Bounds, Terms, apply, size, square, written_out
 
-# A coefficient whose limit is zero must have come down to this share of its largest value; its decay is geometric.
+# A coefficient with limit zero must have decreased to this share of its largest value; its decay is geometric.
 _VANISHED = 1e-3
 
 
 def below_state(t: Terms, b: Bounds, share: float = 1.0) -> Array:
-    """V3(x, p) >= lambda_min(Q) x'x, the first sentence of the proof. ``share``: of that constant."""
+    """Check V3(x, p) >= lambda_min(Q) x'x, the first sentence of the proof. ``share``: factor on that constant."""
     least = np.linalg.eigvalsh(t.setting.weights[0])[..., 0]
     return np.asarray((share * least * square(t.x) - t.plan.value) / t.scale)
 
 
 def split(t: Terms, b: Bounds, stale: bool = False) -> Array:
-    """(25): each of its values is that of V3 at the time, from the state and to the end that it names.
+    """Check equation (25): each value is that of V3 at its time, from its state to its end.
 
-    That the two parts add up needs no check. The values are compared with the forms of ``Setting.forms``, which share
-    no line with the solver, and each plan has to end where it is asked to.
-    ``stale``: the second of the middle terms is taken with the maps of time k.
+    The sum of the two parts needs no check. The values are compared with the forms of ``Setting.forms``, which share no
+    code with the solver, and each plan must reach its end.
+    ``stale``: the second of the middle terms uses the maps of time k.
     """
     models, forms, N = t.setting.models, t.setting.forms, t.setting.horizon
     middle, r_new = t.shifted.value, t.xi_tilde[..., -1, :]
@@ -47,7 +47,7 @@ def split(t: Terms, b: Bounds, stale: bool = False) -> Array:
 
 
 def shifted_end(t: Terms, b: Bounds, last: float = 0.0) -> Array:
-    """(26): r~+ is where the new maps take the shifted plan. ``last``: the input appended to it, zero in the proof."""
+    """Check equation (26): r~+ ends the shifted plan under the new maps. ``last``: its last input."""
     N = t.setting.horizon
     inputs = t.tail + last * (np.arange(N) == N - 1)[:, None]
     end = apply(t.then.A[..., N, :, :], t.x_next)
@@ -57,7 +57,7 @@ def shifted_end(t: Terms, b: Bounds, last: float = 0.0) -> Array:
 
 
 def shifted_states(t: Terms, b: Bounds, printed: bool = False) -> Array:
-    """(27): the new prediction is the old one plus w. ``printed``: with e_0 (which is zero) in the place of e_1."""
+    """Check equation (27): the new prediction is the old one plus w. ``printed``: with e_0 (zero) instead of e_1."""
     e = (0.0 if printed else 1.0) * t.e1
     first = t.plan.x[..., 1, :]
     through = t.now.predict(first, t.tail)
@@ -68,19 +68,19 @@ def shifted_states(t: Terms, b: Bounds, printed: bool = False) -> Array:
 
 
 def written_w(t: Terms, b: Bounds, printed: bool = False) -> Array:
-    """(28): w_i written out. ``printed``: with e_0 (which is zero) in the place of e_1."""
+    """Check equation (28): w_i written out. ``printed``: with e_0 (zero) instead of e_1."""
     return _relative(written_out(t, (0.0 if printed else 1.0) * t.e1) - t.w, t.scale[..., None])
 
 
 def bounded_w(t: Terms, b: Bounds) -> Array:
-    """(30): ``|w_i|^2`` below its bound, i = 0 ... N, and the coefficients of the bound go to zero."""
+    """Check equation (30): ``|w_i|^2`` is below its bound, i = 0 ... N, whose coefficients go to zero."""
     x2, r2 = square(t.x)[..., None], square(t.r)[..., None]
     excess = square(t.w) - (b.alpha[..., 0] * x2 + b.alpha[..., 1] * r2 + b.alpha[..., 2])
     return np.maximum(excess / t.scale[..., None], _still_there(b.alpha))
 
 
 def shifted_cost(t: Terms, b: Bounds, with_w: bool = True) -> Array:
-    """(31): the cost of the shifted plan, in terms of the old plan and of w."""
+    """Check equation (31): the cost of the shifted plan, in terms of the old plan and of w."""
     w = (1.0 if with_w else 0.0) * written_out(t, t.e1)[..., :-1, :]
     inputs = np.sum(t.priced(t.tail, inputs=True), axis=-1)
     cost = Plan(t.shifted.problem, t.tail, t.xi_tilde).value
@@ -89,7 +89,7 @@ def shifted_cost(t: Terms, b: Bounds, with_w: bool = True) -> Array:
 
 
 def first_bound(t: Terms, b: Bounds, cross: bool = True) -> Array:
-    """(32): by optimality the shifted problem costs no more than the shifted plan."""
+    """Check equation (32): by optimality the shifted problem costs no more than the shifted plan."""
     w = t.w[..., :-1, :]
     right = -_first_stage(t) + t.priced(t.r + w[..., -1, :])
     right = right + np.sum(t.priced(w[..., :-1, :]), axis=-1)
@@ -99,7 +99,7 @@ def first_bound(t: Terms, b: Bounds, cross: bool = True) -> Array:
 
 
 def first_step(t: Terms, b: Bounds, counted: bool = True) -> Array:
-    """(33), and that beta_1, beta_2, beta_3 go to zero. ``counted``: r'Qr is part of beta_3."""
+    """Check equation (33), and that beta_1, beta_2, beta_3 go to zero. ``counted``: r'Qr is part of beta_3."""
     x2, r2 = square(t.x), square(t.r)
     right = -_first_stage(t) + (b.beta[..., 0] + b.beta4) * x2
     right = right + (b.beta[..., 1] + b.beta4) * r2 + b.beta[..., 2] - (0 if counted else 2) * b.top * r2
@@ -107,13 +107,13 @@ def first_step(t: Terms, b: Bounds, counted: bool = True) -> Array:
 
 
 def end_with_w(t: Terms, b: Bounds, printed: bool = False) -> Array:
-    """r~+ = A_1(k) r + w_N. ``printed``: r + w_N."""
+    """Check r~+ = A_1(k) r + w_N. ``printed``: r + w_N."""
     r = t.r if printed else apply(t.now.A[..., 1, :, :], t.r)
     return _relative(t.xi_tilde[..., -1, :] - r - written_out(t, t.e1)[..., -1, :], t.scale)
 
 
 def bounded_end(t: Terms, b: Bounds, with_r: bool = True) -> Array:
-    """(34): ``|r~+|^2`` below its bound, with the constant ``2 |A_1(k) r(k)|^2 + 2 alpha_{N,3}(k)``."""
+    """Check equation (34): ``|r~+|^2`` is below a bound with the constant ``2 |A_1(k) r(k)|^2 + 2 alpha_{N,3}(k)``."""
     last = 2 * b.alpha[..., -1, :]
     constant = last[..., 2] + (2 * square(apply(t.now.A[..., 1, :, :], t.r)) if with_r else 0)
     return np.asarray(
@@ -122,24 +122,24 @@ def bounded_end(t: Terms, b: Bounds, with_r: bool = True) -> Array:
 
 
 def same_state(t: Terms, b: Bounds, halved: bool = False) -> Array:
-    """(35): two values from the same state. ``halved``: with the cross term's matrix left at S_4/2."""
+    """Check equation (35): two values from the same state. ``halved``: with S_4/2 as the cross term's matrix."""
     return np.asarray(np.abs(t.after.value - t.shifted.value - _change(t, 0.5 if halved else 1.0)) / t.scale)
 
 
 def second_bound(t: Terms, b: Bounds, share: float = 1.0) -> Array:
-    """(36): Young's inequality on (35). ``share``: of the term in Ax + Bu."""
+    """Check equation (36): Young's inequality on (35). ``share``: factor on the term in Ax + Bu."""
     gap = t.after.value - t.shifted.value - share * b.rho_bar / 2 * square(t.x_next) - gamma(t, b.rho_bar)
     return np.asarray(gap / t.scale)
 
 
 def bounded_gamma(t: Terms, b: Bounds, constant: bool = True) -> Array:
-    """Below (36): gamma below its bound, whose coefficients go to zero. ``constant``: with gamma_3."""
+    """Check below (36) that gamma is below a bound whose coefficients go to zero. ``constant``: with gamma_3."""
     right = b.gamma[..., 0] * square(t.x) + b.gamma[..., 1] * square(t.r) + (b.gamma[..., 2] if constant else 0)
     return np.maximum((gamma(t, b.rho_bar) - right) / t.scale, _still_there(b.gamma))
 
 
 def second_step(t: Terms, b: Bounds, constant: bool = True) -> Array:
-    """(37). ``constant``: with gamma_3."""
+    """Check equation (37). ``constant``: with gamma_3."""
     x2, r2 = square(t.x), square(t.r)
     right = b.rho_bar * b.c * (x2 + square(t.plan.u[..., 0, :])) + b.gamma[..., 0] * x2 + b.gamma[..., 1] * r2
     right = right + (b.gamma[..., 2] if constant else 0)
@@ -147,7 +147,7 @@ def second_step(t: Terms, b: Bounds, constant: bool = True) -> Array:
 
 
 def decrease(t: Terms, b: Bounds, constant: bool = True) -> Array:
-    """(38). ``constant``: with gamma_3."""
+    """Check equation (38). ``constant``: with gamma_3."""
     x2, r2 = square(t.x), square(t.r)
     right = -b.mu / 2 * (x2 + square(t.plan.u[..., 0, :])) + (b.beta[..., 0] + b.beta4 + b.gamma[..., 0]) * x2
     right = right + (b.beta[..., 1] + b.beta4 + b.gamma[..., 1]) * r2 + b.beta[..., 2]
@@ -156,9 +156,9 @@ def decrease(t: Terms, b: Bounds, constant: bool = True) -> Array:
 
 
 def contracts_up_to_delta(t: Terms, b: Bounds, with_delta: bool = True, falling: bool = False) -> Array:
-    """V3+ <= (1 - kappa/s) V3 + delta(k) once kappa > 0, with delta -> 0 and s a bound of the value matrices.
+    """Check V3+ <= (1 - kappa/s) V3 + delta(k) once kappa > 0, with delta -> 0 and s a bound of the value matrices.
 
-    ``falling``: as printed, V3 falls at every step of the second half of the run unless x = 0.
+    ``falling``: as printed, V3 decreases at every step of the second half of the run unless x = 0.
     """
     if falling:
         rise = np.where(square(t.x) > 0, (t.after.value - t.plan.value) / t.scale, 0.0)
@@ -178,13 +178,13 @@ def contraction(t: Terms, b: Bounds) -> tuple[Array, Array]:
 
 
 def value_at_rest(t: Terms, b: Bounds) -> Array:
-    """V3(0, p) as a share of V3: zero only where r is."""
+    """Return V3(0, p) as a share of V3: zero only if r is zero."""
     n = t.x.shape[-1]
     return np.asarray(np.einsum("...a,...ab,...b->...", t.r_next, t.S[..., n:, n:], t.r_next) / t.scale)
 
 
 def input_by_gains(t: Terms, b: Bounds, with_r: bool = True) -> Array:
-    """``|u(k)| <= |K_3| |x(k)| + |K_4| |r(k)|``, the gains being those of nu_0."""
+    """Check ``|u(k)| <= |K_3| |x(k)| + |K_4| |r(k)|``, with the gains of nu_0."""
     n, first = t.x.shape[-1], t.setting.gains[1][..., :-1, 0, :, :]
     limit = size(first[..., :n]) * np.sqrt(square(t.x))
     limit = limit + (size(first[..., n:]) * np.sqrt(square(t.r)) if with_r else 0)
@@ -221,7 +221,7 @@ def _form(x: Array, M: Array, y: Array) -> Array:
 
 
 def _still_there(coefficients: Array) -> Array:
-    """By how much the last value of a coefficient exceeds its share of the largest; a number."""
+    """Return the excess of a coefficient's last value over its share of the largest; a number."""
     steps = np.moveaxis(coefficients, 1, 0)
     return np.asarray(np.max(steps[-1] - _VANISHED * np.max(steps, axis=0)))
 

@@ -1,4 +1,4 @@
-"""Closed loops with V3, every term of (25)-(38) along them, and explicit constants for the bounds."""
+"""Closed loops with V3, every term of (25)-(38) along them, and explicit constants of the bounds."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from rhl.problems import V3
 # Singular values of [B_0 ... B_{N-1}] below this share of the largest are rounding.
 _UNREACHED = 1e-10
 
-# Models below this margin are redrawn: their gains would magnify rounding, not test the proof.
+# Models with a smaller margin are redrawn, since their gains would only magnify rounding.
 _LEAST_MARGIN = 0.2
 
-# Keeps what is exactly zero from being divided by zero.
+# Avoids a division of zero by zero.
 _TINY = 1e-200
 
 SIZES = ((1, 1, 1, 0), (1, 2, 2, 0), (2, 1, 3, 0), (2, 2, 2, 0), (3, 2, 4, 0), (2, 1, 2, 1), (3, 1, 3, 1))
-"""The n, q, N that are drawn, N >= n as Assumption 3 asks, and how many states no input reaches."""
+"""The sizes n, q, N, with N >= n as in Assumption 3, and the number of uncontrollable states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Setting:
     ``plant``: A, B of equation (2), shapes (..., n, n), (..., n, q).
     ``models``: one for each k = 0 ... T, shapes (..., T+1, n, n), (..., T+1, n, q); their powers (21) are the predictor
     maps.
-    ``r`` (..., T+1, n): terminal states asked for.
+    ``r`` (..., T+1, n): required terminal states.
     ``x0`` (..., n): initial state.
     ``horizon``: N.
     ``Q`` (..., n, n), ``R`` (..., q, q): weights of V3 with the axes of ``x0``; None for the identity.
@@ -59,8 +59,8 @@ class Setting:
     def gains(self) -> tuple[Array, Array]:
         """The gains of Lemma 1(a), [K_1 K_2] and [K_3 K_4], shapes (..., T+1, N+1, n, 2n) and (..., T+1, N, q, 2n).
 
-        In closed form, without the library's recursion: of the inputs that end in r, the shortest, and from there along
-        the directions that leave the end where it is. Where (x, r) is not feasible they end as near to r as can be.
+        In closed form, without the library's recursion: the least-norm inputs that end in r, plus the optimal change
+        along directions that keep the end. If (x, r) is not feasible, the end is as near to r as possible.
         """
         n, q, N = self.plant.n, self.plant.q, self.horizon
         maps = self.models.predictor(N)
@@ -80,7 +80,7 @@ class Setting:
         inputs = np.kron(np.eye(N), np.ones((q, q))) * np.tile(R, (N, N))
         H = inputs + np.einsum("...iab,...ac,...icd->...bd", effect[..., :N, :, :], Q, effect[..., :N, :, :])
         slope = H @ shortest + np.einsum("...iab,...ac,...icd->...bd", effect[..., :N, :, :], Q, free[..., :N, :, :])
-        # Along the other directions any positive number will do: it keeps the matrix regular, and is projected away.
+        # Along the other directions any positive number keeps the matrix regular; the projection removes it.
         along = np.linalg.solve(stay @ H @ stay + np.eye(N * q) - stay, stay)
         u = shortest - stay @ along @ slope
         x = free + effect @ u[..., None, :, :]
@@ -112,14 +112,14 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """What the proof of Lemma 2 speaks of, at k = 0 ... T-1 of a closed loop.
+    """The quantities in the proof of Lemma 2, at k = 0 ... T-1 of a closed loop.
 
     ``now``, ``then``: the maps at k and at k+1, shapes (..., T, N+1, n, n), (..., T, N, n, q).
     ``plan``, ``after``, ``shifted``: V3's solutions from x(k) to r(k); from x(k+1) to r(k+1); from x(k+1) to r~+.
     ``e1`` (..., T, n): the one-step error of (8).
     ``tail`` (..., T, N, q): the old plan without its first input: nu_1 ... nu_{N-1}, 0.
     ``xi_tilde`` (..., T, N+1, n): the new prediction under it; the last one is r~+ of (26).
-    ``w`` (..., T, N+1, n): by how much it misses the old one: xi~_i - xi_{i+1}, and for i = N r~+ - A_1(k) r.
+    ``w`` (..., T, N+1, n): its difference to the old one: xi~_i - xi_{i+1}, and for i = N r~+ - A_1(k) r.
     """
 
     setting: Setting
@@ -159,14 +159,14 @@ class Terms:
         return self.setting.forms[..., 1:, :, :]
 
     def priced(self, v: Array, other: Array | None = None, *, inputs: bool = False) -> Array:
-        """Return v'Qw, or v'Rw for ``inputs``; w is v where not given; v of shape (..., T, n) or (..., T, i, n)."""
+        """Return v'Qw, or v'Rw for ``inputs``; w is v by default; v of shape (..., T, n) or (..., T, i, n)."""
         M = self.setting.weights[inputs]
         M = M if v.ndim == self.r.ndim else M[..., None, :, :]
         return np.asarray(np.einsum("...a,...ab,...b->...", v, M, v if other is None else other))
 
     @cached_property
     def scale(self) -> Array:
-        """What rounding is to be compared with, shape (..., T)."""
+        """The scale for rounding errors, shape (..., T)."""
         return np.asarray(self.plan.value + self.after.value + self.shifted.value + _TINY)
 
 
@@ -189,7 +189,7 @@ def follow(setting: Setting) -> Terms:
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Explicit constants for the bounds of the proof.
+    """Explicit constants of the bounds in the proof.
 
     ``alpha`` (..., T, N+1, 3): alpha_{i,1}, alpha_{i,2}, alpha_{i,3} of (30), and for i = N of the bound above (34).
     ``mu``, ``top`` (..., 1): the smallest eigenvalue of Q and R, the largest of Q.
@@ -214,7 +214,7 @@ class Bounds:
 
 
 def bounds(t: Terms) -> Bounds:
-    """Work out the constants of (30), (33), (34), (36) and (37) from the maps, the gains and the omegas alone."""
+    """Compute the constants of (30), (33), (34), (36) and (37) from the maps, the gains and the omegas alone."""
     setting, n, N = t.setting, t.setting.plant.n, t.setting.horizon
     K, L = setting.gains
     parts = [half[..., columns] for half in (K, L) for columns in (slice(None, n), slice(n, None))]
@@ -258,10 +258,10 @@ def draw(
 ) -> Setting:
     """Draw closed loops whose models approach the plant and whose r(k) goes to zero.
 
-    ``count``: how many; every third asks for r only now and then, every third is asleep, x(0) = r(0) = 0.
-    ``sizes``: n, q, N and, if there are any, how many states no input reaches, of the plant and of all its models; they
-    decay, and r(k) is where the model of step k says that they are going.
-    ``steps``: T. ``error_decay``: the models' errors shrink by this factor a step.
+    ``count``: their number; every third has a nonzero r only at some steps, every third starts with x(0) = r(0) = 0.
+    ``sizes``: n, q, N and optionally the number of uncontrollable states, of the plant and of all its models; they
+    decay, and r(k) is their prediction by the model of step k.
+    ``steps``: T. ``error_decay``: the factor on the models' errors at each step.
     ``weighted``: draw Q and R too.
     """
     n, q, N = sizes[:3]
@@ -299,7 +299,7 @@ def draw(
             goes_to = np.linalg.matrix_power(stacked.A[:, i, m:, m:], N)
             r[:, i, m:] = apply(goes_to, left)
             left = apply(A[:, m:, m:], left)
-        # In coordinates in which that cannot be seen.
+        # In coordinates that hide this.
         turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
         A, B, r, x0 = turn @ A @ turn.T, turn @ B, r @ turn.T, x0 @ turn.T
         stacked = SignalModel(turn @ stacked.A @ turn.T, turn @ stacked.B)
@@ -318,7 +318,7 @@ def _weights(rng: np.random.Generator, count: int, n: int) -> Array:
 def written_out(t: Terms, e: Array) -> Array:
     """Return w_0 ... w_N by the formula (28) with the one-step error ``e``, shape (..., T, N+1, n)."""
     dA, dB = t.then.A - t.now.A, t.then.B - t.now.B
-    # From zero, a predictor gives the sum over the inputs alone, whatever its A_i.
+    # From zero, a prediction is the sum over the inputs alone, for every A_i.
     forced = PredictorMaps(t.now.A, dB).predict(np.zeros_like(t.x), t.tail)
     through = np.einsum("...iab,...b->...ia", t.then.A, e)
     return np.asarray(forced - through + np.einsum("...iab,...b->...ia", dA, t.plan.x[..., 1, :]))
@@ -337,7 +337,7 @@ def apply(M: Array, v: Array) -> Array:
 
 
 def square(v: Array) -> Array:
-    """Return the squared length over the last axis."""
+    """Return the squared norm over the last axis."""
     return np.asarray(np.sum(v**2, axis=-1))
 
 

@@ -1,4 +1,4 @@
-"""Predictor maps in exact arithmetic, and predictors that are right along their own closed loop only."""
+"""Predictor maps in exact arithmetic, and predictors that are exact only along their own closed loop."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def powers(A: Exact, B: Exact, horizon: int) -> tuple[list[Exact], list[Exact]]:
 
 
 def predict(maps: tuple[list[Exact], list[Exact]], i: int, x: Exact, inputs: Exact) -> Exact:
-    """Return P_i(x, u_0, ..., u_{i-1}) by equation (5), exactly; it does not look at further inputs."""
+    """Return P_i(x, u_0, ..., u_{i-1}) by equation (5), exactly; further inputs are ignored."""
     A, B = maps
     total = A[i] @ x
     for l in range(i):
@@ -43,8 +43,8 @@ def commutation_gaps(
 ) -> list[Fraction | int]:
     """Return the differences of the three members of (7) for 0 <= i + j <= N + 1, at x of shape (n).
 
-    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}. ``s`` (N+1, q): inputs; s_N has a part for i + j = N + 1 only.
-    ``printed``: count a map that (7) names and ``maps`` does not have as a difference of one.
+    ``maps``: A_0 ... A_N and B_0 ... B_{N-1}. ``s`` (N+1, q): inputs; s_N is used only for i + j = N + 1.
+    ``printed``: a map in (7) that ``maps`` lacks counts as a difference of one.
     """
     N, there = len(s) - 1, len(maps[1])
     gaps: list[Fraction | int] = []
@@ -62,10 +62,10 @@ def commutation_gaps(
 
 
 def half_blind(rng: np.random.Generator, count: int = 1) -> tuple[SignalModel, SignalModel]:
-    """Draw plants, three states and two inputs, and predictors that are right about half of that, shapes (count, ...).
+    """Draw plants with three states and two inputs, and predictors exact for a part of them, shapes (count, ...).
 
-    The plant's third state is stable and stays at zero if it starts there. The predictor is wrong about what that
-    state does, and believes that the second input does nothing, so that its plans never use it.
+    The plant's third state is stable and stays at zero if it starts there. The predictor is wrong about the effect of
+    that state, and has no effect of the second input, so its plans never use it.
     """
     A, B = rng.normal(size=(count, 3, 3)), rng.normal(size=(count, 3, 2))
     A[:, 2, :2], B[:, 2] = 0.0, 0.0
@@ -79,7 +79,7 @@ def half_blind(rng: np.random.Generator, count: int = 1) -> tuple[SignalModel, S
 def prediction_errors(plant: SignalModel, predictor: SignalModel, x0: Array, steps: int) -> tuple[Array, Array]:
     """Run the closed loop with V1 (Q = R = QN = 1, N = 4, Gamma/eps = (1+k) x'x).
 
-    Returns the lengths of e_i(k), i = 0 ... 4, of (8) with the planned inputs, shape (steps, ..., 5), and the states,
+    Returns the norms of e_i(k), i = 0 ... 4, of (8) with the planned inputs, shape (steps, ..., 5), and the states,
     shape (steps, ..., n).
     """
     truth, x = plant.predictor(4), x0
@@ -101,7 +101,7 @@ def general_maps(rng: np.random.Generator) -> tuple[SignalModel, PredictorMaps]:
 
 
 def stepped(plant: SignalModel, x: Array, inputs: Array) -> Array:
-    """Return x and the states after each of the inputs, one step of the plant after the other, shape (..., N+1, n)."""
+    """Return x and the states after each of the inputs, by steps of the plant, shape (..., N+1, n)."""
     states = [x]
     for l in range(inputs.shape[-2]):
         states.append(plant.step(states[-1], inputs[..., l, :]))

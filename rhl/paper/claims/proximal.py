@@ -1,4 +1,4 @@
-"""Proximal iterations (20) for functions of one linear form each: what the claims about Lemma 4 run."""
+"""Proximal iterations (20) for functions of one linear form each, used by the claims about Lemma 4."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Cosh:
         return np.arcsinh(dual)
 
 
-# Random runs: so many steps, lambda_k up to this lambda_max.
+# Random runs: number of steps, and the lambda_max of lambda_k.
 _STEPS, _MIXING = 12, 0.9
 
 SHAPES = ("square", "hinge", "huber", "quartic")
@@ -67,7 +67,7 @@ SHAPES = ("square", "hinge", "huber", "quartic")
 class Ridge:
     r"""A convex function :math:`f(x) = w\,\varphi(a^\top x - b)` whose minimum is zero.
 
-    ``a`` (d,): direction; not zero. ``b``: where the minimum is: at all x with a'x = b (with a'x <= b for the hinge).
+    ``a`` (d,): direction; not zero. ``b``: the minimum is attained at all x with a'x = b (with a'x <= b for the hinge).
     ``shape``: phi(t) is t^2 (square), max(0, t)^2 (hinge), sqrt(1 + t^2) - 1 (huber) or t^4 (quartic).
     ``weight``: w, positive.
     """
@@ -105,7 +105,7 @@ class Ridge:
 def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
     r"""Return the minimiser of :math:`f(x) + D(x, \tilde x_k)`, the first line of (20), shape (d,).
 
-    By (41) the minimiser is ``g.inverse(grad g(centre) - w phi'(t) a)`` with t = a'x - b. What is left is one equation
+    By (41) the minimiser is ``g.inverse(grad g(centre) - w phi'(t) a)`` with t = a'x - b. One equation remains
     for the number t, with its root between 0 and the value of t at the centre; it is solved for their ratio.
     """
     dual, start = g.gradient(centre), float(f.a @ centre) - f.b
@@ -118,7 +118,7 @@ def proximal_step(f: Ridge, g: Mirror, centre: Array) -> Array:
 
     if f.slope(start) == 0:
         return centre
-    if excess(1.0) >= 0:  # the step is lost in rounding
+    if excess(1.0) >= 0:  # the step is below rounding
         return point(start)
     return point(start * brentq(excess, 0.0, 1.0, xtol=1e-25, rtol=1e-15))
 
@@ -161,7 +161,7 @@ class Run:
 def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) -> Run:
     """Run the proximal iterations (20).
 
-    ``functions``: f(., 0), f(., 1), ..., as many as steps are to be taken.
+    ``functions``: f(., 0), f(., 1), ..., one for each step.
     ``start`` (d,): the first centre. ``mixing`` (K,): lambda_1, ..., lambda_K.
     """
     centres, minimisers = [np.asarray(start, dtype=np.float64)], []
@@ -172,11 +172,11 @@ def iterate(functions: Sequence[Ridge], g: Mirror, start: Array, mixing: Array) 
 
 
 def tangential_turns(steps: int, exponent: float = 0.75) -> tuple[Array, Array]:
-    r"""Return norm and angle, shape (steps+1,), of the spiral's :math:`\tilde x_0, \tilde x_1, \dots`, not iterating.
+    r"""Return norm and angle, shape (steps+1,), of the spiral's :math:`\tilde x_0, \tilde x_1, \dots` in closed form.
 
-    With :math:`d_k` of length one, :math:`d_k^\top x = \delta_k |x|`, one step for :math:`(d_k^\top x)^2` with
-    :math:`D = |x-y|^2` multiplies the squared norm by :math:`1 - 3\delta_k^2/4` and turns x by the angle whose tangent
-    is :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`. ``exponent`` is the e of delta_k = k^-e / 2, k = 1, 2, ...
+    With unit vectors :math:`d_k`, :math:`d_k^\top x = \delta_k |x|`, one step for :math:`(d_k^\top x)^2` with
+    :math:`D = |x-y|^2` multiplies the squared norm by :math:`1 - 3\delta_k^2/4` and rotates x by the angle with tangent
+     :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`. ``exponent`` is the e of delta_k = k^-e / 2, k = 1, 2, ...
     """
     delta = 0.5 * np.arange(1, steps + 1, dtype=np.float64) ** -exponent
     norm = np.exp(0.5 * np.cumsum(np.log1p(-0.75 * delta**2)))
@@ -192,7 +192,7 @@ def spiral(steps: int, exponent: float = 0.75) -> Run:
     for k in range(1, steps + 1):
         delta = 0.5 * k**-exponent
         radial = x / np.hypot(*x)
-        tangential = np.array([radial[1], -radial[0]])  # pushes the iterate anticlockwise
+        tangential = np.array([radial[1], -radial[0]])  # moves the iterate anticlockwise
         functions.append(Ridge(delta * radial + np.sqrt(1 - delta**2) * tangential, 0.0))
         x = proximal_step(functions[-1], g, x)
         centres.append(x)
@@ -209,9 +209,8 @@ def draw_run(
 ) -> tuple[Run, Array]:
     """Run (20) on random convex functions with a common minimiser; return the run and points of X, shape (3, d).
 
-    The points (if there is one) are the common minimiser and two more, as the functions leave a direction free. They
-    are drawn positive, so that the entropy is at home too, and of size ``scale``. ``consistent`` False: without a
-    common minimiser.
+    The points are the common minimiser, if any, and two more, since the functions leave one direction free. They are
+    positive, as the entropy requires, and of size ``scale``. ``consistent`` False: without a common minimiser.
     """
     d = int(rng.integers(2, 5))
     target, start, free = scale * rng.uniform(0.5, 2.0, (3, d))
@@ -228,21 +227,21 @@ def draw_run(
 
 
 def size(run: Run, target: Array) -> float:
-    """Return the size of the terms that D is made of along a run; one at least."""
+    """Return the size of D's terms along a run, at least one."""
     g, points = run.generator, np.concatenate([run.centres, target[None]])
     slopes = np.sum(np.abs(g.gradient(points)) * (1 + np.abs(points)), axis=1)
     return float(1 + np.max(np.abs(g.value(points)) + slopes))
 
 
 def optimality_gap(run: Run, target: Array, mixed: bool = False) -> Array:
-    """Return how far (41) is from holding at x*_{k+1} (at x~_{k+1} if ``mixed``), shape (K,)."""
+    """Return the violation of (41) at x*_{k+1} (at x~_{k+1} if ``mixed``), shape (K,)."""
     points, g = run.centres[1:] if mixed else run.minimisers, run.generator
     pull = np.array([f.gradient(x) for f, x in zip(run.functions, points, strict=True)])
     return np.linalg.norm(pull + g.gradient(points) - g.gradient(run.centres[:-1]), axis=1)
 
 
 def tangent_excess(run: Run, target: Array) -> Array:
-    """Return how far (42) is from holding at x = x~_k, x~_{k+1} and x*: right side minus left, shape (3 K,)."""
+    """Return the violation of (42) at x = x~_k, x~_{k+1} and x*: right side minus left, shape (3 K,)."""
     found = []
     for f, best, *points in zip(run.functions, run.minimisers, run.centres[:-1], run.centres[1:], strict=True):
         found += [f.value(best) + f.gradient(best) @ (x - best) - f.value(x) for x in (*points, target)]
@@ -259,7 +258,7 @@ def three_point_gap(run: Run, target: Array, printed: bool = False) -> Array:
 
 
 def pull_excess(run: Run, target: Array) -> Array:
-    """Return how far (43) is from holding, right side minus left, shape (K,)."""
+    """Return the violation of (43), right side minus left, shape (K,)."""
     g, best = run.generator, run.minimisers
     slope = np.sum((g.gradient(best) - g.gradient(run.centres[:-1])) * (target - best), axis=1)
     at_target = np.array([f.value(target) for f in run.functions])
@@ -267,7 +266,7 @@ def pull_excess(run: Run, target: Array) -> Array:
 
 
 def mixing_excess(run: Run, target: Array) -> Array:
-    """Return how far both inequalities of (45) are from holding, shape (2 K,)."""
+    """Return the violations of both inequalities of (45), shape (2 K,)."""
     lam, distances = run.mixing, run.distances(target)
     best = divergence(run.generator, np.broadcast_to(target, run.minimisers.shape), run.minimisers)
     middle = (1 - lam) * best + lam * distances[:-1]
@@ -277,13 +276,13 @@ def mixing_excess(run: Run, target: Array) -> Array:
 
 
 def decrease_excess(run: Run, target: Array, lambda_max: float = _MIXING) -> Array:
-    """Return how far (46) is from holding, left side minus right, shape (K,)."""
+    """Return the violation of (46), left side minus right, shape (K,)."""
     at_target = np.array([f.value(target) for f in run.functions])
     return np.diff(run.distances(target)) + (1 - lambda_max) * (run.moves + run.residuals - at_target)
 
 
 def sum_excess(run: Run, target: Array, lambda_max: float = _MIXING) -> Array:
-    """Return by how much distances grow, and the sums of moves and residuals exceed their bound, shape (K+1,)."""
+    """Return the growth of distances, and the excess of sums of steps and residuals over the bound, shape (K+1,)."""
     distances = run.distances(target)
     total = float(np.sum(run.moves) + np.sum(run.residuals))
     return np.concatenate([np.diff(distances), [(1 - lambda_max) * total - distances[0]]])
@@ -293,7 +292,7 @@ def shrinking_limit(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
     r"""Enclose the limit of (20) for :math:`f(x,k) = \rho^k x^2`, :math:`D = |x-y|^2/2`, from x = 1, in exact numbers.
 
     ``ratio`` is rho in (0, 1]. Returns x_K (1 - tail) and x_K with K = ``steps``; the tail is the sum of 2 rho^k from K
-    on. Zero and x_K where that sum is no help.
+    on. Zero and x_K if that sum gives no bound.
     """
     x = Fraction(1)
     for k in range(steps):
@@ -306,7 +305,7 @@ def shrinking_limit(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
 
 @cache
 def turn_identity() -> bool:
-    """Verify one step of the spiral symbolically: optimality, shrinking and turning, for every delta and every x."""
+    """Verify one step of the spiral symbolically: optimality, norm and angle, for every delta and every x."""
     import sympy as sp
 
     t, x1, x2 = sp.symbols("t x1 x2", real=True)
@@ -325,7 +324,7 @@ def turn_identity() -> bool:
 
 
 def recurrent_run(rng: np.random.Generator, forgotten: bool = False) -> tuple[Run, Array, list[Ridge]]:
-    """Run (20) on three functions of which two come back after ever longer gaps (the last one thrice if forgotten)."""
+    """Run (20) on three functions, two of which recur after ever longer gaps (the last one thrice if ``forgotten``)."""
     directions = np.linalg.qr(rng.standard_normal((4, 4)))[0][:3] + 0.1 * rng.standard_normal((3, 4))
     target, start = rng.standard_normal((2, 4))
     family = [Ridge(a, float(a @ target), weight=30.0) for a in directions]

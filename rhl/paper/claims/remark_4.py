@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 _claim = partial(Claim, page="notebooks/12-lemma-6.ipynb", test="tests/paper/claims/test_lemma_6.py")
 
-# A PBH matrix of entries near one counts as of full rank above this; the controls lie at 1e-12 and below.
+# The least singular value of a PBH matrix of full rank, for entries near one; controls have at most 1e-12.
 _RANK = 1e-8
 
 
 def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = False, index: bool = False) -> Evidence:
-    """PBH test of the pair (55), lifted or augmented: how far below the threshold its smallest singular value falls.
+    """Test the pair (55), lifted or augmented, by PBH: the shortfall of its smallest singular value from the threshold.
 
-    ``augmented``: test Remark 4's augmented pair. ``index``: stack as many samples as the observability index says.
-    ``deaf``: cut the inputs off the unstable block, so that the plant is not stabilizable.
+    ``augmented``: test Remark 4's augmented pair. ``index``: stack as many samples as the observability index.
+    ``deaf``: no input gain in the unstable block, so that the plant is not stabilizable.
     """
     rng = effort.rng("lemma-6.stabilizable")
     short = []
@@ -46,7 +46,7 @@ def check_stabilizable(effort: Effort, augmented: bool = False, deaf: bool = Fal
 
 
 def stabilizable_exactly(A: sp.Matrix, B: sp.Matrix) -> bool:
-    """Decide whether a pair of rational numbers is stabilizable, by the rank at its eigenvalues, all of them rational.
+    """Decide whether a rational pair is stabilizable, by the rank at its eigenvalues, which must be rational.
 
     ValueError if one is not.
     """
@@ -63,7 +63,7 @@ def check_every_pair(
 ) -> Evidence:
     """Count pairs of y+ = a y + v - a v(k-1), stabilizable as lifted ones, whose augmented pair is not.
 
-    ``poles``: the numbers a. Nothing is drawn, and ``effort`` is not used.
+    ``poles``: the numbers a. ``effort`` is not used, since nothing is random.
     """
     import sympy as sp
 
@@ -71,15 +71,15 @@ def check_every_pair(
     for a in poles:
         A, B = sp.Matrix([[a]]), sp.Matrix([[1, -a]])
         if not stabilizable_exactly(A, B):
-            return Evidence(0, 0.0)  # says nothing of what augmentation does
+            return Evidence(0, 0.0)  # no evidence about augmentation
         lost += not stabilizable_exactly(*augmented_exactly(A, B, 1))
     return Evidence(len(poles), float(lost), 0.0, "exact: rational numbers")
 
 
 def check_chain(effort: Effort, offset: int) -> Evidence:
-    """Run the chain zeta_1+ = zeta_2, ..., zeta_{m-1}+ = v(k) of Remark 4 and see what zeta_1(k) is.
+    """Run the chain zeta_1+ = zeta_2, ..., zeta_{m-1}+ = v(k) of Remark 4 and determine zeta_1(k).
 
-    ``offset``: compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 as is right.
+    ``offset``: compare zeta_1(k) with v(k - m + offset): 0 as printed, 1 corrected.
     """
     rng = effort.rng("remark-4.chain")
     gaps = []
@@ -97,7 +97,7 @@ def check_chain(effort: Effort, offset: int) -> Evidence:
 def check_augmented(effort: Effort, depth: int = 0) -> Evidence:
     """Remark 4: mp + (m-1)q states, driven by v(k) alone, give the same x(k) as the lifted pair driven by u(k).
 
-    ``depth``: carry that many past inputs fewer.
+    ``depth``: reduction of the number of past inputs.
     """
     rng = effort.rng("remark-4")
     gaps = []
@@ -158,7 +158,7 @@ CLAIMS: tuple[Claim, ...] = (
         "remark-4.every-pair",
         "Remark 4",
         "intchain",
-        "Augmenting a stabilizable lifted pair, whichever it is, keeps it stabilizable.",
+        "Augmenting any stabilizable lifted pair keeps it stabilizable.",
         method="exact arithmetic",
         recorded="refuted",
         stated=check_every_pair,
@@ -166,9 +166,9 @@ CLAIMS: tuple[Claim, ...] = (
         instance=Control(
             "poles inside the unit circle", partial(check_every_pair, poles=(Fraction(1, 2), Fraction(-4, 5)))
         ),
-        reason="The remark's reason is that the chain's states go to zero with v. That is right where v feeds back the "
-        "plant's own state, so for the pair of (55) (remark-4.stabilizable). Another lifted pair may count on past "
-        "inputs, which can no longer be chosen: that of y+ = a y + v - a v(k-1) is controllable, and no input reaches "
-        "its augmented mode a. The pair at which the estimates settle need not be that of (55).",
+        reason="The remark's reason is that the chain's states go to zero with v. That is right if v feeds back the "
+        "plant's own state, so for the pair of (55) (remark-4.stabilizable). Another lifted pair may use past inputs "
+        "as free, which can no longer be chosen: that of y+ = a y + v - a v(k-1) is controllable, and no input "
+        "reaches its augmented mode a. The limit of the estimates need not be the pair of (55).",
     ),
 )

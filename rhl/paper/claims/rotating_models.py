@@ -1,4 +1,4 @@
-"""Two predictors that put Lemma 2's hypotheses to the test: one turns for ever, one loses controllability."""
+"""Two predictors that test Lemma 2's hypotheses: one rotates for ever, one loses controllability."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ PLANE = 1.5
 """Growth factor of the plant x+ = 1.5 x + u in the plane."""
 
 MISFIT = np.array([[-0.5, 0.0], [1.0, -0.75]])
-"""E: by how much the turning model's input matrix is off; found by trial: it makes the closed loop far from normal."""
+"""E, the error of the rotating model's input matrix, found by trial; it makes the closed loop far from normal."""
 
 
 def turning(phase: Array, r: Array, x0: Array, growth: float = PLANE) -> Setting:
-    """Return a loop in the plane whose model turns by the given angles.
+    """Return a loop in the plane whose model rotates by the given angles.
 
-    The plant is x+ = growth x + u. The model, at angle 0, is right about where its own plan from x to 0 leads in one
-    step, and about nothing else; turned by any angle it is that still, for the plant looks the same from all sides.
+    The plant is x+ = growth x + u. The model at angle 0 is exact only for the first step of its own plan from x to 0.
+    This remains true under every rotation, since the plant is invariant under rotations.
 
     ``phase`` (T+1): angles of the model at k = 0 ... T.
     ``r`` (T+1, 2): terminal states. ``x0`` (runs, 2): initial states.
-    ``growth`` is the plant's; the model is made for the default.
+    ``growth``: that of the plant; the model is made for the default.
     """
     model = consistent_model()
     turn = rotation(phase)
@@ -60,12 +60,12 @@ def rotation(phase: Array) -> Array:
 
 
 def losing(steps: int, floor: float = 0.0) -> Setting:
-    """Return a loop whose model approaches the plant, and loses controllability in doing so.
+    """Return a loop whose model approaches the plant and loses controllability in the limit.
 
-    The plant's second state is stable and out of reach. The model thinks that the input reaches it a little, by
-    1/(k+1), and is asked to bring it to 1/(k+1).
+    The plant's second state is stable and not controllable. The model has the input gain 1/(k+1) for it, and r(k)
+    requires it to reach 1/(k+1).
 
-    ``steps``: T. ``floor``: what the model keeps thinking of that reach, at least.
+    ``steps``: T. ``floor``: lower bound of the model's gain.
     """
     A, decay = np.diag([1.2, 0.5]), 1 / (np.arange(steps + 1) + 1)
     reach = np.maximum(decay, floor)

@@ -1,4 +1,4 @@
-"""The paper's two simulations: equations (23) and (24), the figures, and what the text says of them."""
+"""The paper's two simulations: equations (23) and (24), the figures, and the text's statements about them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CURVE = 1e-9
 
 def linear_matrices() -> tuple[Any, Any, Any]:
     """Return F, G, H of the linear example as exact fractions; ValueError if they are not hundredths."""
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     plant = published.linear_example().plant
     assert isinstance(plant, LinearPlant)
@@ -31,18 +31,18 @@ def linear_matrices() -> tuple[Any, Any, Any]:
     for M in (plant.F, plant.G, plant.H):
         hundredths = np.rint(100 * M).astype(int)
         if not np.array_equal(hundredths / 100, M):
-            raise ValueError("the linear example's entries are no hundredths")
+            raise ValueError("the linear example's entries must be hundredths")
         exact.append(sp.Matrix(hundredths.tolist()) / 100)
     return exact[0], exact[1], exact[2]
 
 
 def check_linear_rank(effort: Effort, what: str, modes: tuple[str, ...] | None = None) -> Evidence:
-    """PBH rank tests on equation (23) in exact arithmetic: by how much the least rank misses the order 3.
+    """PBH rank tests on equation (23) in exact arithmetic: the shortfall of the least rank from the order 3.
 
-    ``effort`` is not used: nothing is drawn. ``what`` {"input", "output"}: test (F, G) or (F, H).
-    ``modes``: eigenvalues to test; those of modulus at least 1 for the input, all for the output, where omitted.
+    ``effort`` is not used, since nothing is random. ``what`` {"input", "output"}: test (F, G) or (F, H).
+    ``modes``: eigenvalues to test; by default those of modulus at least 1 for the input, all for the output.
     """
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     F, G, H = linear_matrices()
     found = sorted(F.eigenvals())
@@ -54,9 +54,9 @@ def check_linear_rank(effort: Effort, what: str, modes: tuple[str, ...] | None =
 
 
 def check_linear_unstable(effort: Effort, pole: str | None = None) -> Evidence:
-    """Look for an eigenvalue of modulus above 1 in equation (23), exactly.
+    """Test exactly for an eigenvalue of modulus above 1 in equation (23).
 
-    ``effort`` is not used: nothing is drawn. ``pole``: put this number in the place of 1.02.
+    ``effort`` is not used, since nothing is random. ``pole``: replaces 1.02.
     """
     import sympy as sp
 
@@ -68,7 +68,7 @@ def check_linear_unstable(effort: Effort, pole: str | None = None) -> Evidence:
 
 @cache
 def _run(example: str, printed: bool) -> Trace:
-    """Run an example; in the linear one, the three inputs that nobody has explained are taken as published."""
+    """Run an example; in the linear one, the three unexplained inputs are those published."""
     if example == "robot":
         return published.robot_arm(printed=printed).run()
     inputs = published.curve("linear_u")
@@ -80,9 +80,9 @@ def _run(example: str, printed: bool) -> Trace:
 
 
 def check_curve(effort: Effort, names: tuple[str, ...], printed: bool) -> Evidence:
-    """Compare a run of the linear example with published curves at all samples, but the inputs of k = 12, 13, 14.
+    """Compare a run of the linear example with published curves at all samples, except the inputs of k = 12, 13, 14.
 
-    ``effort`` is not used: nothing is drawn. ``names``: of the curves. ``printed``: with the text's settings.
+    ``effort`` is not used, since nothing is random. ``names``: of the curves. ``printed``: with the text's settings.
     """
     trace = _run("linear", printed)
     found = {
@@ -102,27 +102,27 @@ def check_curve(effort: Effort, names: tuple[str, ...], printed: bool) -> Eviden
 def check_weight(effort: Effort, printed: bool) -> Evidence:
     """Compare Gamma/eps of the published outputs and inputs with its published curve, all samples.
 
-    ``effort`` is not used: nothing is drawn. ``printed``: with the text's eps.
+    ``effort`` is not used, since nothing is random. ``printed``: with the text's eps.
     """
     gap = np.abs(published.gamma_over_eps(printed=printed) / published.curve("linear_gamma_over_eps") - 1)
     return Evidence(len(gap), float(np.max(gap)), 1e-12, "rounding of a sum of squares")
 
 
 def check_unexplained(effort: Effort, at: tuple[int, ...] = published.UNEXPLAINED) -> Evidence:
-    """Feed the published data back and look whether the inputs at some steps alone are others than the recipe's.
+    """Feed the published data back and check that only the inputs at some steps differ from the recipe's.
 
-    ``effort`` is not used: nothing is drawn. ``at``: those steps.
+    ``effort`` is not used, since nothing is random. ``at``: these steps.
     """
     gap = np.abs(published.replay_published().v_computed[:, 0] - published.curve("linear_u"))
     too_small, elsewhere = 1e-3 - float(np.min(gap[list(at)])), float(np.max(np.delete(gap, at)))
-    return Evidence(len(gap), max(too_small, elsewhere), 1e-10, "fifteen published digits; the three are off by 5e-3")
+    return Evidence(len(gap), max(too_small, elsewhere), 1e-10, "fifteen published digits; the three differ by 5e-3")
 
 
 def check_linear_plant(effort: Effort, entry: tuple[str, int, int] | None = None, by: float = 0.0) -> Evidence:
     """Drive the plant (23) with the published inputs and compare it with the published y and x1, all samples.
 
-    No controller takes part. ``effort`` is not used: nothing is drawn.
-    ``entry``: matrix, row and column of an entry to change by that much.
+    There is no controller. ``effort`` is not used, since nothing is random.
+    ``entry``: matrix, row and column of an entry to change.
     """
     experiment = published.linear_example()
     plant, z = experiment.plant, experiment.z0
@@ -143,7 +143,7 @@ def check_linear_plant(effort: Effort, entry: tuple[str, int, int] | None = None
 def check_arm_curve(effort: Effort, state: int, printed: bool) -> Evidence:
     """Compare a run of the robot arm with the published curve of x1, x2 or x3, all samples.
 
-    ``effort`` is not used: nothing is drawn. ``state``: 0, 1 or 2.
+    ``effort`` is not used, since nothing is random. ``state``: 0, 1 or 2.
     ``printed``: with the text's coefficients.
     """
     row = published.compare_robot(_run("robot", printed))[state]
@@ -158,9 +158,9 @@ def check_arm_equation(effort: Effort, printed: bool) -> Evidence:
 
 
 def check_settled(effort: Effort, example: str, deaf: bool = False) -> Evidence:
-    """Run an example on for 300 steps and see how large its state is in the last 30, relative to its peak.
+    """Run an example for 300 steps and measure its state in the last 30, relative to its peak.
 
-    ``effort`` is not used: nothing is drawn. ``deaf``: cut the input off.
+    ``effort`` is not used, since nothing is random. ``deaf``: disconnect the input.
     """
     chosen = published.linear_example() if example == "linear" else published.robot_arm()
     plant: Plant = chosen.plant
@@ -172,7 +172,7 @@ def check_settled(effort: Effort, example: str, deaf: bool = False) -> Evidence:
 
 @dataclass(frozen=True)
 class _Deaf:
-    """A plant that does not hear its input."""
+    """A plant whose input has no effect."""
 
     heard: Plant
 
@@ -210,32 +210,32 @@ def _figure(number: int, label: str, statement: str, check: Callable[[Effort, bo
     )
 
 
-_RATE = "The data were made with eps(k) = 1/(1+100k), not 1/(1+1000k), and with the model of the step before"
+_RATE = "The data were made with eps(k) = 1/(1+100k), not 1/(1+1000k), and with the model of the previous step"
 _GIVEN = "with the inputs of k = 12, 13, 14 taken as published"
-_ARM = "The data obey other coefficients than those printed, and lambda = 0.5 at every step."
+_ARM = "The data have other coefficients than those printed, and lambda = 0.5 at every step."
 
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "eq-23",
         "Equation 23",
         "eq:lin_Model2",
-        "The plant of the linear example makes the published outputs and first states of the published inputs.",
+        "The plant of the linear example maps the published inputs to the published outputs and first states.",
         method="simulation",
         recorded="holds",
         stated=check_linear_plant,
-        control=Control("1.03 in the place of 1.02", lambda effort: check_linear_plant(effort, ("F", 1, 1), 0.01)),
+        control=Control("1.03 in place of 1.02", lambda effort: check_linear_plant(effort, ("F", 1, 1), 0.01)),
     ),
     _claim(
         "eq-24",
         "Equation 24",
         "eq:Waste2Ener2",
-        "The published samples of the robot arm obey its first two equations, in which there is no input.",
+        "The published samples of the robot arm satisfy its first two equations, which contain no input.",
         method="numerical sampling",
         recorded="holds-corrected",
         stated=lambda effort: check_arm_equation(effort, True),
         corrected=lambda effort: check_arm_equation(effort, False),
         control=Control("the coefficients as printed", lambda effort: check_arm_equation(effort, True)),
-        reason="The data obey 400/11, 19.12/11 and 1000/11 where 36.4, 1.7 and 1309 are printed.",
+        reason="The data satisfy them with 400/11, 19.12/11 and 1000/11 instead of the printed 36.4, 1.7 and 1309.",
     ),
     _claim(
         "text-linear-unstable",
@@ -245,7 +245,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="exact arithmetic",
         recorded="holds",
         stated=check_linear_unstable,
-        control=Control("0.98 in the place of 1.02", lambda effort: check_linear_unstable(effort, "49/50")),
+        control=Control("0.98 in place of 1.02", lambda effort: check_linear_unstable(effort, "49/50")),
     ),
     _claim(
         "text-linear-stabilizable",
@@ -268,7 +268,8 @@ CLAIMS: tuple[Claim, ...] = (
         recorded="holds",
         stated=lambda effort: check_linear_rank(effort, "output"),
         control=Control(
-            "the input's side, on which 0.92 is lost", lambda effort: check_linear_rank(effort, "input", ("23/25",))
+            "the input instead, which does not reach 0.92",
+            lambda effort: check_linear_rank(effort, "input", ("23/25",)),
         ),
     ),
     _claim(
@@ -296,13 +297,13 @@ CLAIMS: tuple[Claim, ...] = (
         "Figure 1",
         "eq:overall_scheme",
         "The overall scheme as a block diagram.",
-        reason="A drawing; the book draws it anew and the library runs it.",
+        reason="A drawing; the book redraws it and the library implements it.",
         kind="definition",
     ),
     _figure(
         2,
         "subfig1",
-        f"Output and predicted output of the linear example run as published, at all samples, {_GIVEN}.",
+        f"Output and predicted output of the linear example agree with the published ones, at all samples, {_GIVEN}.",
         lambda e, printed: check_curve(e, ("linear_y", "linear_y_hat"), printed),
         f"{_RATE}.",
     ),
@@ -316,7 +317,7 @@ CLAIMS: tuple[Claim, ...] = (
     _figure(
         4,
         "subfig3",
-        f"The input of the linear example runs as published, at all other samples {_GIVEN}.",
+        f"The input of the linear example agrees with the published one, at all other samples {_GIVEN}.",
         lambda e, printed: check_curve(e, ("linear_u",), printed),
         f"{_RATE}.",
     ),
@@ -324,8 +325,8 @@ CLAIMS: tuple[Claim, ...] = (
         "figure-4.unexplained",
         "Figure 4",
         "subfig3",
-        "The published inputs of k = 12, 13, 14, and no others, differ from what the settings found make of the same "
-        "data, by 0.005 to 0.07; nobody has explained them.",
+        "The published inputs of k = 12, 13, 14, and no others, differ by 0.005 to 0.07 from those of the settings "
+        "found, for the same data; they are unexplained.",
         method="simulation",
         recorded="holds",
         stated=check_unexplained,
@@ -334,36 +335,36 @@ CLAIMS: tuple[Claim, ...] = (
     _figure(
         5,
         "subfig4",
-        f"The first state of the linear example runs as published, at all samples, {_GIVEN}.",
+        f"The first state of the linear example agrees with the published one, at all samples, {_GIVEN}.",
         lambda e, printed: check_curve(e, ("linear_x1",), printed),
         f"{_RATE}.",
     ),
     _figure(
         6,
         "subfig:gamma",
-        "The terminal weight of the linear example is that of the published outputs and inputs.",
+        "The published terminal weight of the linear example is that of the published outputs and inputs.",
         check_weight,
-        "The data were made with eps(k) = 1/(1+100k), not 1/(1+1000k). Gamma is taken one input later than in the "
+        "The data were made with eps(k) = 1/(1+100k), not 1/(1+1000k). Gamma uses the inputs one step later than the "
         "controller.",
     ),
     _figure(
         7,
         "subfig:state1",
-        "The angle of the robot arm runs as published.",
+        "The angle of the robot arm agrees with the published one.",
         lambda e, printed: check_arm_curve(e, 0, printed),
         _ARM,
     ),
     _figure(
         8,
         "subfig:state2",
-        "The velocity of the robot arm runs as published.",
+        "The velocity of the robot arm agrees with the published one.",
         lambda e, printed: check_arm_curve(e, 1, printed),
         _ARM,
     ),
     _figure(
         9,
         "subfig:state3",
-        "The current of the robot arm runs as published.",
+        "The current of the robot arm agrees with the published one.",
         lambda e, printed: check_arm_curve(e, 2, printed),
         _ARM,
     ),

@@ -1,4 +1,4 @@
-"""Lemma 5's adversary: pairs whose mixtures are not controllable at any of the candidates given beforehand."""
+"""Lemma 5's adversary: pairs whose mixtures are not controllable at any of the given candidates."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import sympy as sp
 
-# One row of numbers at lambda = 0, and what is added to it up to lambda = 1.
+# A row of numbers at lambda = 0, and its increment up to lambda = 1.
 Line = tuple[list[Fraction], list[Fraction]]
 
 
 def spoiling_pairs(n: int, candidates: Sequence[Fraction]) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    r"""Build pairs (A_u, b_u) and (A_c, b_c), the second controllable, that spoil n(n+1)/2 - 1 given candidates.
+    r"""Build pairs (A_u, b_u) and (A_c, b_c), the second controllable, for which n(n+1)/2 - 1 given candidates are bad.
 
     ``candidates``: different from each other, from 0 and from 1. With A(lambda), b(lambda) the mixture of order s, and
     C(lambda) its controllability matrix, a state :math:`x^+ = c x_{old} + \alpha x + \beta u` multiplies det C by
 
     .. math:: h = c\,\mathrm{adj}(\alpha I - A)\,b + \beta \det(\alpha I - A),
 
-    of degree s + 1 in lambda where c, alpha and beta are straight lines. Where alpha is steep, c and beta can be chosen
-    such that h is any such polynomial: here the one that vanishes at the next s + 1 candidates. A and b are lists of
+    of degree s + 1 in lambda if c, alpha and beta are linear in lambda. For a steep alpha, c and beta can be chosen
+    such that h is any such polynomial, here the one that vanishes at the next s + 1 candidates. A and b are lists of
     lists of Fraction.
     """
     import sympy as sp
 
     roots = [sp.Rational(of.numerator, of.denominator) for of in candidates]
     if len(set(roots) - {sp.S.Zero, sp.S.One}) != n * (n + 1) // 2 - 1 or len(roots) != n * (n + 1) // 2 - 1:
-        raise ValueError(f"{n * (n + 1) // 2 - 1} candidates are wanted, all different, none of them 0 or 1")
+        raise ValueError(f"{n * (n + 1) // 2 - 1} candidates are required, all different, none of them 0 or 1")
     x = sp.Symbol("lambda")
     A, b = sp.Matrix([[sp.S.Zero]]), sp.Matrix([x])  # order one: bad at 0 only
     for s in range(1, n):
@@ -42,7 +42,7 @@ def spoiling_pairs(n: int, candidates: Sequence[Fraction]) -> tuple[tuple[Any, A
 
 
 def _last_state(A: sp.Matrix, b: sp.Matrix, wanted: sp.Poly, x: sp.Symbol) -> tuple[sp.Matrix, Any, Any]:
-    """Return c, beta and alpha, straight lines in x, for which h is the wanted polynomial."""
+    """Return c, beta and alpha, linear in x, for which h is the wanted polynomial."""
     import sympy as sp
 
     s, steep = A.rows, 1
@@ -55,7 +55,7 @@ def _last_state(A: sp.Matrix, b: sp.Matrix, wanted: sp.Poly, x: sp.Symbol) -> tu
         if columns.rank() == s + 2:
             break
         steep *= 2
-    # Least squares among the many solutions would make long fractions; the pivots' does not.
+    # The least-squares solution would have long fractions; the pivot solution has short ones.
     pivots = columns.rref()[1]
     some = columns[:, list(pivots)].LUsolve(sp.Matrix([wanted.coeff_monomial(x**i) for i in range(s + 2)]))
     found = [sp.S.Zero] * len(free)

@@ -17,7 +17,7 @@ from rhl.problems import V1, V2, V3
 
 _claim = partial(Claim, page="notebooks/08-theorem-1.ipynb", test="tests/paper/claims/test_theorem_1.py")
 _STEPS = 600
-# The weight that holds an unstable mode fixes |x|^2 / eps; over the run eps falls to a millionth.
+# The weight that stabilises an unstable mode fixes |x|^2 / eps; over the run eps decreases to a millionth.
 _SETTLED = 1e-2
 
 
@@ -27,7 +27,7 @@ class Loop:
 
     ``x`` (steps + 1, systems, n), ``u`` (steps, systems, q): states and inputs.
     ``r`` (steps, systems, n): the planned terminal states x_N(k).
-    ``best`` (steps, systems): V2(x(k)), the least terminal value that can be planned.
+    ``best`` (steps, systems): V2(x(k)), the least terminal value of a plan.
     """
 
     x: Array
@@ -39,10 +39,10 @@ class Loop:
 def close(
     model: SignalModel, x0: Array, epsilon: Callable[[int], float], steps: int = _STEPS, horizon: int | None = None
 ) -> Loop:
-    """Close the loop of V1 and the system that its predictor is, equations (2) to (4), with Gamma = x'x.
+    """Close the loop of V1 and its exact predictor, equations (2) to (4), with Gamma = x'x.
 
     ``model`` is a batch of systems, x0, shape (systems, n), their states; Q = Q_N = I and R = 100 I for all of them.
-    ``horizon``: N; the order n where omitted, the least that Assumption 3 allows.
+    ``horizon``: N; by default the order n, the least that Assumption 3 allows.
     """
     N = model.n if horizon is None else horizon
     x, states, inputs, ends, best = x0, [x0], [], [], []
@@ -59,7 +59,7 @@ def close(
 
 
 def systems(rng: np.random.Generator, count: int, radius: float = 1.3) -> tuple[SignalModel, Array]:
-    """Draw stabilizable systems of order 3: a controllable block of that radius and a stable mode out of reach."""
+    """Draw stabilizable systems of order 3: a controllable block of that radius and a stable uncontrollable mode."""
     A, B = np.zeros((count, 3, 3)), np.zeros((count, 3, 1))
     for i in range(count):
         block = rng.normal(size=(2, 2))
@@ -72,31 +72,30 @@ def systems(rng: np.random.Generator, count: int, radius: float = 1.3) -> tuple[
 
 
 def falling(k: int) -> float:
-    """Return epsilon(k) = exp(-k / 30), which falls to 2e-9 over a run."""
+    """Return epsilon(k) = exp(-k / 30), which decreases to 2e-9 over a run."""
     return float(np.exp(-k / 30))
 
 
 def well_conditioned(model: SignalModel) -> Array:
-    """Say which systems' controllable blocks are well so; the others peak too high for float64 to return from."""
+    """Return which systems have a well controllable block; the peaks of the others are too high for float64."""
     A, B = model.A[:, :2, :2], model.B[:, :2]
     return np.asarray(np.linalg.cond(np.concatenate([B, A @ B], axis=-1)) < 20)
 
 
 def check_rest(effort: Effort, of: str, epsilon: Callable[[int], float] = falling) -> Evidence:
-    """Run the loop on random stabilizable systems and see how far it has come down from its peak.
+    """Run the loop on random stabilizable systems and compare its end with its peak.
 
-    ``of`` {"x", "r"}: look at the state, or at the planned terminal states r(k) = x_N(k), which the proof needs to
-    vanish.
+    ``of`` {"x", "r"}: the state, or the planned terminal states r(k) = x_N(k), which tend to zero in the proof.
     """
     model, x0 = systems(effort.rng("theorem-1"), 3 * effort.cases)
     chosen = np.flatnonzero(well_conditioned(model))[: effort.cases]
     loop = close(SignalModel(model.A[chosen], model.B[chosen]), x0[chosen], epsilon)
     size = np.linalg.norm(loop.x if of == "x" else loop.r, axis=-1)
-    return Evidence(len(chosen), float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes")
+    return Evidence(len(chosen), float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes")
 
 
 def check_same_problem(effort: Effort, shift: float = 0.0) -> Evidence:
-    """Compare V1's solution with V3's for r = x_N, equation (40). ``shift``: move r by that much."""
+    """Compare V1's solution with V3's for r = x_N, equation (40). ``shift``: change of r."""
     rng, gaps = effort.rng("eq-40"), []
     for _ in range(effort.cases):
         n, q = (int(size) for size in rng.integers(1, 4, 2))
@@ -113,10 +112,10 @@ class Changing:
     """A closed loop of V1 with N = 1 and x+ = a x + u, whose predictor a x + b(k) u changes; many systems at once.
 
     ``x`` (steps + 1, systems): states.
-    ``plan_gain`` (steps, systems): largest gain of V1's plan, which Assumption 5(b) wants bounded.
-    ``error`` (steps, systems): |e_1(k)| / |x(k)| of (8), which Assumption 4(b) wants to vanish.
-    ``least`` (steps, systems): V2(x(k)) / x(k)^2, zero but for rounding; that V2 vanishes is Assumption 4(c).
-    ``least_gain`` (steps, systems): gain of V2's least-norm solution, on which Assumption 5 says nothing.
+    ``plan_gain`` (steps, systems): largest gain of V1's plan, which is bounded in Assumption 5(b).
+    ``error`` (steps, systems): |e_1(k)| / |x(k)| of (8), which vanishes in Assumption 4(b).
+    ``least`` (steps, systems): V2(x(k)) / x(k)^2, zero up to rounding; Assumption 4(c) requires that V2 vanishes.
+    ``least_gain`` (steps, systems): gain of V2's least-norm solution, which Assumption 5 does not bound.
     """
 
     x: Array
@@ -127,7 +126,7 @@ class Changing:
 
 
 def vanishing(k: int, a: Array) -> Array:
-    """Return b(k) = eps(k) a^-2k / (k+1), so small that the weight never makes up for it."""
+    """Return b(k) = eps(k) a^-2k / (k+1), too small for the weight to compensate."""
     return np.asarray(quick(k) * a ** (-2.0 * k) / (k + 1))
 
 
@@ -168,7 +167,7 @@ def change(
 def check_changing(
     effort: Effort, b: Callable[[int, Array], Array], epsilon: Callable[[int], float] = quick
 ) -> Evidence:
-    """Run unstable scalar systems whose predictor changes with k, and see how far the state has come down.
+    """Run unstable scalar systems whose predictor changes with k, and compare the last state with the peak.
 
     ``b``: the predictor's input gain, ``vanishing`` or ``settling``.
     """
@@ -176,7 +175,7 @@ def check_changing(
     a, x0 = rng.uniform(1.1, 1.5, effort.cases), rng.uniform(0.1, 1.0, effort.cases)
     run = change(a, x0, b, epsilon)
     size = np.abs(run.x)
-    # Whether 5(b), (8) and (9) hold; V2 is zero but for rounding.
+    # Whether 5(b), (8) and (9) hold; V2 is zero up to rounding.
     holds = (
         np.all(run.plan_gain <= np.maximum(1.0, a) + 1e-9),
         np.all(run.error[-1] <= a / 20),
@@ -184,16 +183,14 @@ def check_changing(
     )
     if not all(holds):
         return Evidence(0, np.nan, why="a hypothesis does not hold on this run")
-    return Evidence(
-        effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "what is left of slow modes"
-    )
+    return Evidence(effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes")
 
 
 def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (1 + 10 * k)) -> Evidence:
     r"""Compare :math:`x(k)^2/\epsilon(k)` of unstable scalar loops with N = 1 with :math:`R(a-1)/Q_N`.
 
     With N = 1 and Gamma = x^2 the closed loop is x(k+1) = a R x(k) / (R + Q_N x(k)^2 / epsilon(k)), whose factor is one
-    where the terminal weight is R (a - 1) / Q_N; below that the state grows, above it falls.
+    at the terminal weight R (a - 1) / Q_N; below that weight the state grows, above it decreases.
 
     ``epsilon``: the schedule; slow, so that epsilon(k+1)/epsilon(k) tends to one.
     """
@@ -207,7 +204,7 @@ def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (
         x = a * x + plan.u[:, 0, 0]
     expected = R[:, 0, 0] * (a - 1) / QN[:, 0, 0]
     gap = np.abs(x**2 / epsilon(_STEPS) / expected - 1)
-    return Evidence(effort.cases, float(np.max(gap)), 0.05, "epsilon still falls by a part in k at every step")
+    return Evidence(effort.cases, float(np.max(gap)), 0.05, "epsilon still decreases by a share of 1/k at every step")
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -249,8 +246,8 @@ CLAIMS: tuple[Claim, ...] = (
         instance=Control("b(k) that tends to one, so that V2's gains are bounded", partial(check_changing, b=settling)),
         reason="Step 2 of the proof uses that the gains of V2's least-norm solution are bounded over k; Assumption 5 "
         "bounds other gains. For x+ = ax + u, a > 1, N = 1 and the predictor ax + b(k)u with "
-        "b(k) = eps(k) a^-2k / (k+1), 2 to 4 and 5(b) hold and x diverges from every x(0) but 0. What holds is "
-        "theorem-1.star.",
+        "b(k) = eps(k) a^-2k / (k+1), 2 to 4 and 5(b) hold and x diverges from every nonzero x(0). Claim "
+        "theorem-1.star is the theorem that holds.",
         uses=(
             "assumption-2",
             "assumption-3",
@@ -268,7 +265,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.fixed",
         "Theorem 1",
         "MPC1vsMPC3",
-        "With V1, Gamma = alpha x'x and eps(k) -> 0, a stabilizable system that is its own predictor comes to rest.",
+        "With V1, Gamma = alpha x'x and eps(k) -> 0, the loop of a stabilizable system with its exact predictor "
+        "converges to zero.",
         method="simulation",
         recorded="holds",
         stated=lambda effort: check_rest(effort, "x"),
@@ -292,11 +290,12 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.pace",
         "Theorem 1",
         "MPC1vsMPC3",
-        "Where the horizon is too short to hold the system, the state goes to zero no faster than the root of eps(k).",
+        "If the horizon is too short to stabilise the system, the state goes to zero no faster than the root of "
+        "eps(k).",
         method="simulation",
         recorded="observed",
         stated=check_pace,
-        control=Control("eps falling by half at every step", lambda effort: check_pace(effort, lambda k: 0.5**k)),
+        control=Control("eps halved at every step", lambda effort: check_pace(effort, lambda k: 0.5**k)),
     ),
     _claim(
         "eq-40",
@@ -308,6 +307,6 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_same_problem,
         uses=("lemma-1.a",),
         proof="notebooks/08-theorem-1.ipynb#proof-eq-40",
-        control=Control("r moved by 1e-3", lambda effort: check_same_problem(effort, 1e-3)),
+        control=Control("r changed by 1e-3", lambda effort: check_same_problem(effort, 1e-3)),
     ),
 )

@@ -1,4 +1,4 @@
-"""Theorem 1*: the theorem that holds in the place of Theorem 1, this project's own; and the two readings of 5."""
+"""Theorem 1*: a theorem of this project that replaces Theorem 1; and the two readings of Assumption 5."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from rhl.problems import V3
 
 _claim = partial(Claim, page="notebooks/08-theorem-1.ipynb", test="tests/paper/claims/test_theorem_1_star.py")
 _STEPS, _FEW = 220, 12
-# epsilon ends at 9e-11, and with it r(k) at 9e-6 times what bounds it; the slowest hidden mode at 0.85^220 = 3e-16.
+# epsilon ends at 9e-11, and so r(k) at 9e-6 times its bound; the slowest hidden mode at 0.85^220 = 3e-16.
 _AT_REST = 1e-2
 _ROUNDING = 1e-9
-# Controllable and hidden states, inputs, horizon.
+# Numbers of controllable and hidden states and of inputs, and the horizon.
 _SIZES = ((1, 1, 1, 2), (2, 1, 1, 3), (2, 0, 2, 2), (2, 2, 2, 4), (3, 0, 1, 4))
 
 
 def draw(rng: np.random.Generator, count: int, sizes: tuple[int, int, int, int]) -> Loops:
-    """Draw loops with models that approach the plant where the state is, and go on changing elsewhere.
+    """Draw loops with models that approach the plant along the state, and keep changing elsewhere.
 
     The plant has an unstable block that the input reaches and stable modes that it does not. In every second loop the
-    hidden modes are at rest, and what the model thinks of them drifts for ever, as sin(sqrt(k)); in the others that
-    drift fades. All is seen in rotated coordinates, with weights that are not diagonal.
+    hidden modes are zero, and the model's entries for them drift for ever, as sin(sqrt(k)); in the others this drift
+    decays. Coordinates are rotated, and weights are not diagonal.
 
     ``sizes``: of the two blocks, of the input, and the horizon.
     """
@@ -68,14 +68,14 @@ def draw(rng: np.random.Generator, count: int, sizes: tuple[int, int, int, int])
 
 
 def erratic(rng: np.random.Generator, count: int) -> Loops:
-    """Draw loops whose model is drawn anew at every step, of any rank and now and then without inputs.
+    """Draw loops with a new random model at every step, of any rank and sometimes without inputs.
 
-    The inequalities of the proof ask for none of the theorem's hypotheses but (7). The plant decays, so that the
-    states stay in sight; weights and Gamma are spread, and epsilon rises and falls.
+    The inequalities of the proof need only (7) of the theorem's hypotheses. The plant decays, so the states stay
+    bounded; weights and Gamma vary widely, and epsilon increases and decreases.
     """
     n, q, N = (int(rng.integers(1, top)) for top in (6, 3, 5))
     A, B = (rng.normal(size=(_FEW, count, n, size)) / np.sqrt(n) for size in (n, q))
-    # Inputs that reach nothing, each for itself and all of them at once.
+    # Inputs without effect, single ones and all at once.
     B = B * (rng.random((_FEW, count, 1, q)) < 0.7) * (rng.random((_FEW, count, 1, 1)) < 0.9)
     Q, R, QN = (
         np.stack([random_weight(rng, size) for _ in range(count)]) * 10.0 ** rng.uniform(-1, 1, (count, 1, 1))
@@ -98,13 +98,13 @@ def erratic(rng: np.random.Generator, count: int) -> Loops:
 
 @cache
 def erratic_runs(seed: int, cases: int) -> tuple[Run, ...]:
-    """Run such loops over a few steps each; kept, for several claims look at them."""
+    """Run such loops over a few steps each; cached, since several claims use them."""
     rng = Effort(seed).rng("theorem-1.star.erratic")
     return tuple(run(erratic(rng, 4), _FEW) for _ in range(max(8, cases // 5)))
 
 
 def of_both_kinds(effort: Effort) -> tuple[Run, ...]:
-    """Return the runs of the theorem and the erratic ones, along both of which the proof's inequalities hold."""
+    """Return the runs of the theorem and the erratic ones; the proof's inequalities hold along both."""
     return (*runs(effort.seed, effort.cases), *erratic_runs(effort.seed, effort.cases))
 
 
@@ -115,30 +115,30 @@ def falling(k: int) -> float:
 
 @cache
 def runs(seed: int, cases: int) -> tuple[Run, ...]:
-    """Run loops of all sizes; kept, for several claims look at them."""
+    """Run loops of all sizes; cached, since several claims use them."""
     rng = Effort(seed).rng("theorem-1.star")
     return tuple(run(draw(rng, max(2, cases // 20), sizes), _STEPS) for sizes in _SIZES)
 
 
 def hypotheses(of: Run) -> str:
-    """Return which hypothesis of Theorem 1* a run does not satisfy by its end, empty if it satisfies all."""
+    """Return the hypothesis of Theorem 1* that a run violates at its end, empty if there is none."""
     state = np.linalg.norm(of.x[:-1], axis=-1) + np.linalg.norm(of.u, axis=-1)
-    # omega_1 may be rounding: hidden modes at rest are at 1e-16 of the state's peak.
+    # omega_1 may be rounding: hidden modes that are zero have 1e-16 of the state's peak.
     error = np.linalg.norm(of.error, axis=-1) / (state + 1e-9 * np.max(state, axis=0))
     moves = [np.max(np.abs(np.diff(maps, axis=0)), axis=tuple(range(2, maps.ndim))) for maps in (of.A, of.B)]
     late, early = slice(-10, None), slice(0, 20)
     for name, rows in (("maps' differences", np.maximum(*moves)), ("one-step error", error)):
         if not np.max(rows[late]) < 0.5 * max(float(np.max(rows[early])), 1e-9):
-            return f"the {name} did not fade"
+            return f"the {name} did not vanish"
     if not np.max(of.best[late]) <= 1e-6 * np.max(of.best[early]) + 1e-12:
-        return "V2 does not fade"
-    # Early models are perturbed, and may be reached weakly; the plant's own block has an s+ above 0.3.
+        return "V2 does not vanish"
+    # Early models are perturbed and may have a small s+; the plant's own block has an s+ above 0.3.
     found = s_plus(PredictorMaps(of.A, of.B))
     return "" if np.min(found) > 0 and np.min(found[len(found) // 2 :]) > 0.1 else "s+ is not bounded below"
 
 
 def check_rest(effort: Effort) -> Evidence:
-    """Look whether the loops come to rest; a run that breaks a hypothesis is no evidence."""
+    """Check that the loops converge to zero; a run that violates a hypothesis is no evidence."""
     found = []
     for of in runs(effort.seed, effort.cases):
         broken = hypotheses(of)
@@ -155,9 +155,9 @@ def left(of: Run) -> Array:
 
 
 def spinning(spin: float | None, effort: Effort) -> Run:
-    """Run V1 with the model in the plane that is right about its own plan to zero, and turns; s+ is constant.
+    """Run V1 with the rotating model in the plane that is exact for its own plan to zero; s+ is constant.
 
-    ``spin``: the angle of each step; where None, the angle is sqrt(k), whose differences fade.
+    ``spin``: the angle of each step; None: the angle is sqrt(k), whose differences vanish.
     """
     k = np.arange(_STEPS + 1.0)
     x0 = effort.rng("theorem-1.star.spin").normal(size=(max(2, effort.cases // 10), 2))
@@ -172,19 +172,19 @@ def spinning(spin: float | None, effort: Effort) -> Run:
 
 
 def check_differences(effort: Effort, spin: float | None = None) -> Evidence:
-    """Look whether the loop with a turning model comes to rest. ``spin``: turn by this angle at every step instead."""
+    """Check that the loop with a rotating model converges to zero. ``spin``: the angle of every step instead."""
     of = spinning(spin, effort)
     return Evidence(of.x.shape[1], float(np.max(left(of))), _AT_REST, "r(k) fades with the root of eps(k)")
 
 
 def check_ends(effort: Effort, share: float = 1.0) -> Evidence:
-    """Check (12) with the explicit constant along the loops. ``share``: of epsilon, with which the bound is tested."""
+    """Check (12) with the explicit constant along the loops. ``share``: factor on epsilon in the tested bound."""
     found = [float(np.max(ends_excess(of, share))) for of in of_both_kinds(effort)]
     return Evidence(len(found), worst_of(found), _ROUNDING, "rounding of x_N")
 
 
 def check_shift(effort: Effort, stale: bool = False) -> Evidence:
-    """Compare the shifted plan under the maps of k+1 with what (28) says. ``stale``: leave the maps' changes out."""
+    """Compare the shifted plan under the maps of k+1 with (28). ``stale``: leave the maps' changes out."""
     found = []
     for of in of_both_kinds(effort):
         moved = shifted(of)
@@ -195,18 +195,18 @@ def check_shift(effort: Effort, stale: bool = False) -> Evidence:
 
 
 def check_step(effort: Effort, share: float = 1.0, moved_end: bool = True) -> Evidence:
-    """Check both halves of the proof's inequality at every step.
+    """Check both parts of the proof's inequality at every step.
 
-    ``share``: of q_k, with which the first is tested. ``moved_end``: whether the second counts the moved end.
+    ``share``: factor on q_k in the first. ``moved_end``: whether the second includes the change of the end.
     """
     found = [float(np.max(step_excess(of, share, moved_end))) for of in of_both_kinds(effort)]
     return Evidence(len(found), worst_of(found), _ROUNDING, "rounding, relative to the bounds")
 
 
 def gain_of(maps: PredictorMaps, Q: Array, R: Array) -> float:
-    """Return the largest |(xi_0 .. xi_{N-1}, nu)| over all feasible (x, r) of length one.
+    """Return the largest |(xi_0 .. xi_{N-1}, nu)| over all feasible (x, r) of norm one.
 
-    A feasible pair is (x, A_N x + BB nu): the plan is solved for a basis of them.
+    A feasible pair is (x, A_N x + BB nu): the plan is computed for a basis of them.
     """
     n = maps.n
     BB = np.concatenate(list(maps.B[::-1]), axis=1)
@@ -224,7 +224,7 @@ def gain_of(maps: PredictorMaps, Q: Array, R: Array) -> float:
 def check_equivalence(effort: Effort, largest: bool = False) -> Evidence:
     """Compare V3's largest gain with 1/s+ below and with sqrt(cond) M above, for maps of any rank.
 
-    ``largest``: take the largest singular value for s+.
+    ``largest``: use the largest singular value as s+.
     """
     rng, found = effort.rng("assumption-5.s-plus"), []
     for i in range(max(4, effort.cases // 4)):
@@ -240,17 +240,17 @@ def check_equivalence(effort: Effort, largest: bool = False) -> Evidence:
         at, gain = constants(maps.A, maps.B, Q, R, np.eye(n), s), gain_of(maps, Q, R)
         low = min(np.linalg.eigvalsh(Q)[0], np.linalg.eigvalsh(R)[0])
         found += [1 / float(s) / gain - 1, gain / float(np.sqrt(at.top / low) * at.M) - 1]
-    return Evidence(len(found), worst_of(found), _ROUNDING, "rounding of plans through weakly reached directions")
+    return Evidence(len(found), worst_of(found), _ROUNDING, "rounding of plans along directions with small gain")
 
 
 def met_plans(of: Run) -> Array:
-    """Return the plans' size over |x(k)| + |r(k)| along the loops, shape (T, loops): what reading (W) bounds."""
+    """Return the plans' size over |x(k)| + |r(k)| along the loops, shape (T, loops), which reading (W) bounds."""
     plans = np.max(np.abs(of.nu), axis=(-1, -2)) + np.max(np.abs(of.xi), axis=(-1, -2))
     return np.asarray(plans / (np.linalg.norm(of.x[:-1], axis=-1) + np.linalg.norm(of.r, axis=-1)))
 
 
 def fading_reach(reach: float = 0.5, first: float = 1.0) -> Run:
-    r"""Run V1 on A = diag(1.2, 0.5), B = (1, 0) with models B(k) = (1, first reach^k) that tend to it; N = 2.
+    r"""Run V1 on A = diag(1.2, 0.5), B = (1, 0) with models B(k) = (1, first reach^k) that converge to it; N = 2.
 
     With eps(k) = 0.02^k, unit weights and x(0) = (1, 1) the first state tends to 5/26 and not to zero.
     """
@@ -264,22 +264,22 @@ def fading_reach(reach: float = 0.5, first: float = 1.0) -> Run:
 
 
 def check_met(effort: Effort, first: float = 1.0) -> Evidence:
-    """See how far the state comes down where plans met along the loop are bounded and models tend to the plant.
+    """Measure the last state of a loop with bounded plans and models that converge to the plant.
 
-    ``effort`` is not used: nothing is drawn. ``first``: how far the first model takes the second state to be reached;
-    zero makes it right, and s+ constant.
+    ``effort`` is not used, since nothing is random. ``first``: input gain of the second state in the first model;
+    zero makes the model exact, and s+ constant.
     """
     of = fading_reach(first=first)
     least = np.linalg.norm(of.error[-1], axis=-1) / np.linalg.norm(of.x[-2], axis=-1)
     if not (np.max(met_plans(of)) < 5 and np.max(least) < 1e-9 and np.max(np.abs(of.r[-1])) < 1e-9):
         return Evidence(0, np.nan, why="a hypothesis does not hold on this run")
-    return Evidence(1, float(np.abs(of.x[-1, 0, 0])), _AT_REST, "what is left of the first state, which began at one")
+    return Evidence(1, float(np.abs(of.x[-1, 0, 0])), _AT_REST, "the rest of the first state, which began at one")
 
 
 def check_met_plans(effort: Effort, share: float = 1.0) -> Evidence:
-    """Compare the gains of plans of V1 met along loops with those of V3's plans for the same x and r.
+    """Compare the gains of V1's plans along loops with those of V3's plans for the same x and r.
 
-    ``share``: of Q, with which V3 is solved.
+    ``share``: factor on Q in V3.
     """
     found = []
     for of in runs(effort.seed, effort.cases):
@@ -289,13 +289,13 @@ def check_met_plans(effort: Effort, share: float = 1.0) -> Evidence:
             scale = np.linalg.norm(of.x[k], axis=-1) + np.linalg.norm(of.r[k], axis=-1)
             gains = [np.max(np.abs(nu), axis=(-1, -2)) / scale for nu in (plan.u, of.nu[k])]
             found.append(float(np.max(np.abs(gains[0] - gains[1]) / (1 + gains[1]))))
-    return Evidence(len(found), worst_of(found), 1e-7, "rounding of plans to ends that weights of 1e4 have fixed")
+    return Evidence(len(found), worst_of(found), 1e-7, "rounding of plans with ends fixed by weights of 1e4")
 
 
 def check_losing(effort: Effort, floor: float = 0.0) -> Evidence:
-    """Run V3 with a model that loses controllability, r(k) -> 0; the plans met are bounded, the gains are not.
+    """Run V3 with a model that loses controllability, r(k) -> 0; the plans in the run are bounded, the gains are not.
 
-    ``effort`` is not used: nothing is drawn. ``floor``: what the model keeps thinking of its reach, at least.
+    ``effort`` is not used, since nothing is random. ``floor``: lower bound of the model's gain.
     """
     setting = losing(4000, floor)
     t = follow(setting)
@@ -303,8 +303,8 @@ def check_losing(effort: Effort, floor: float = 0.0) -> Evidence:
     given = np.linalg.norm(t.x, axis=-1) + np.linalg.norm(t.r, axis=-1)
     met = plans / given
     if not np.max(met) < 50:
-        return Evidence(0, np.nan, why="the plans met along the loop are not bounded")
-    return Evidence(1, float(at_the_end(setting)[0]), 5e-3, "r(k) = 1/(k+1) is 3e-4 of what it was")
+        return Evidence(0, np.nan, why="the plans along the loop are not bounded")
+    return Evidence(1, float(at_the_end(setting)[0]), 5e-3, "r(k) = 1/(k+1) has decreased to 3e-4")
 
 
 _PROOF = "notebooks/08-theorem-1.ipynb#proof-theorem-1-star"
@@ -315,13 +315,13 @@ CLAIMS: tuple[Claim, ...] = (
         "assumption-5.s-plus",
         "Assumption 5",
         "",
-        "The gain of V3 over all feasible (x, r) is at least 1/s+ and at most an explicit function of 1/s+, s+ being "
-        "the smallest nonzero singular value of [B_{N-1} ... B_0]: for bounded maps, Assumption 5(a) as a bound on "
-        "gain matrices holds just where inf s+(k) > 0.",
+        "The gain of V3 over all feasible (x, r) is at least 1/s+ and at most an explicit function of 1/s+, where s+ "
+        "is the smallest nonzero singular value of [B_{N-1} ... B_0]: for bounded maps, Assumption 5(a) as a bound on "
+        "gain matrices holds if and only if inf s+(k) > 0.",
         method="numerical sampling",
         recorded="holds",
         stated=check_equivalence,
-        control=Control("the largest singular value for s+", partial(check_equivalence, largest=True)),
+        control=Control("the largest singular value as s+", partial(check_equivalence, largest=True)),
         uses=("assumption-3", "lemma-1.a", "eq-11"),
         proof="notebooks/08-theorem-1.ipynb#proof-s-plus",
     ),
@@ -329,7 +329,7 @@ CLAIMS: tuple[Claim, ...] = (
         "assumption-5.implies-met",
         "Assumption 5",
         "",
-        "Read as a bound on the plans met along the loop of V1, part (b) gives part (a): they are the plans of V3.",
+        "If Assumption 5 bounds the plans along the loop of V1, part (b) implies part (a): they are plans of V3.",
         method="numerical sampling",
         recorded="holds",
         stated=check_met_plans,
@@ -341,30 +341,30 @@ CLAIMS: tuple[Claim, ...] = (
         "lemma-2.met",
         "Lemma 2",
         "",
-        "Lemma 2 with Assumption 5(a) read as a bound on the plans met along the loop.",
+        "Lemma 2 with Assumption 5(a) read as a bound on the plans along the loop.",
         method="simulation",
         recorded="refuted",
         stated=check_losing,
-        control=Control("a reach of at least a ten-thousandth", partial(check_losing, floor=1e-4)),
+        control=Control("a gain of at least a ten-thousandth", partial(check_losing, floor=1e-4)),
         instance=Control(
-            "a reach of at least 0.1, so that the gain matrices are bounded", partial(check_losing, floor=0.1)
+            "a gain of at least 0.1, so that the gain matrices are bounded", partial(check_losing, floor=0.1)
         ),
-        reason="A model that approaches the plant and loses its reach of a stable state, asked to bring that state to "
-        "r(k) -> 0, plans inputs that are bounded by |x| + |r| and keep the first state away from zero. The proof of "
-        "Lemma 2 uses the gain from r+ - r~+, which is no plan that was met.",
+        reason="A model approaches the plant and loses its input gain of a stable state, which r(k) -> 0 prescribes. "
+        "Its planned inputs are bounded by |x| + |r| and keep the first state away from zero. The proof of Lemma 2 "
+        "uses the gain from r+ - r~+, for which there is no plan in the loop.",
         uses=("assumption-5",),
     ),
     _claim(
         "theorem-1.met",
         "Theorem 1",
         "",
-        "Theorem 1 with Assumption 5 read as a bound on the plans met along the loop, V2's included, and with "
+        "Theorem 1 with Assumption 5 read as a bound on the plans along the loop, including V2's, and with "
         "predictors that converge to the plant itself.",
         method="simulation",
         recorded="refuted",
         stated=check_met,
         control=Control("B(k) = (1, 0.5^(k+1))", partial(check_met, first=0.5)),
-        instance=Control("a model that is right from the start, so that s+ is constant", partial(check_met, first=0.0)),
+        instance=Control("an exact model from the start, so that s+ is constant", partial(check_met, first=0.0)),
         reason="With A = diag(1.2, 0.5), B = (1, 0), models B(k) = (1, 0.5^k), N = 2, unit weights, eps(k) = 0.02^k "
         "and x(0) = (1, 1) all plans are below 2.5 |x|, the one-step error and r(k) go to zero, and x_1 tends to 5/26.",
         uses=("assumption-5",),
@@ -374,8 +374,8 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 1*",
         "",
         "With V1, Gamma = alpha x'x and eps(k) -> 0, state and input go to zero if the maps are bounded, commute (7), "
-        "change less and less, satisfy (8) for i = 1 and (9), and inf s+(k) > 0; they need not converge, nor be "
-        "controllable.",
+        "have changes that tend to zero, satisfy (8) for i = 1 and (9), and inf s+(k) > 0; they need not converge or "
+        "be controllable.",
         method="simulation",
         recorded="holds",
         stated=check_rest,
@@ -387,7 +387,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.star.differences",
         "Theorem 1*",
         "",
-        "A loop whose predictor turns for ever, in ever smaller steps, comes to rest.",
+        "A loop whose predictor rotates for ever, in ever smaller steps, converges to zero.",
         method="simulation",
         recorded="holds",
         stated=check_differences,
@@ -399,7 +399,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.star.ends",
         "Theorem 1*",
         "",
-        "Along the loop x_N'Q_N x_N is at most V2 + eps(k) Lambda C_2^2 / alpha, with C_2 an explicit function of s+.",
+        "Along the loop x_N'Q_N x_N is at most V2 + eps(k) Lambda C_2^2 / alpha, with an explicit function C_2 of s+.",
         method="numerical sampling",
         recorded="holds",
         stated=check_ends,
@@ -411,12 +411,12 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.star.shift",
         "Theorem 1*",
         "",
-        "The shifted plan, under the maps of k+1, ends up where the old one did but for w: the one-step error and the "
-        "steps of the maps.",
+        "Under the maps of k+1 the shifted plan has the old plan's predictions up to w, which consists of the one-step "
+        "error and the changes of the maps.",
         method="numerical sampling",
         recorded="holds",
         stated=check_shift,
-        control=Control("the steps of the maps left out", partial(check_shift, stale=True)),
+        control=Control("the changes of the maps left out", partial(check_shift, stale=True)),
         uses=("eq-7", "eq-27", "eq-28"),
         proof=_PROOF,
     ),
@@ -424,7 +424,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-1.star.step",
         "Theorem 1*",
         "",
-        "S = sqrt(V3) contracts by q = sqrt(1 - lambda_min(Q)/(Lambda M^2)) at each step, up to terms of r and w.",
+        "S = sqrt(V3) contracts by q = sqrt(1 - lambda_min(Q)/(Lambda M^2)) at each step, up to terms in r and w.",
         method="numerical sampling",
         recorded="holds",
         stated=check_step,

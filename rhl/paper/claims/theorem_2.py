@@ -32,7 +32,7 @@ from rhl.paper.published import linear_example
 from rhl.simulation import simulate
 from rhl.trace import Trace
 
-# What has come to rest, or vanished, has come this close; what has not is a thousandth away at least.
+# Convergence means this distance; without it the distance is at least a thousandth.
 _SETTLED = 1e-6
 
 
@@ -51,7 +51,7 @@ def example_transitions(trace: Trace, first: int) -> tuple[Array, Array]:
 
 
 def check_prehistory(effort: Effort, first: int = 3) -> Evidence:
-    """Fit one (A, B) to the linear example's transitions into x(first), x(first + 1), ..., and return what is left."""
+    """Fit one (A, B) to the linear example's transitions into x(first), x(first + 1), ..., and return the residual."""
     example = linear_example()
     regressors, successors = example_transitions(simulate(example.scheme, example.plant, example.z0, 30), first)
     fit = np.linalg.lstsq(regressors, successors, rcond=None)[0]
@@ -60,14 +60,14 @@ def check_prehistory(effort: Effort, first: int = 3) -> Evidence:
 
 
 def check_settles_outside(effort: Effort, growing: bool = False) -> Evidence:
-    """See the linear example's estimate come to rest at a model that misses consistent data by more than 0.1.
+    """Check that the linear example's estimate converges to a model that misses consistent data by more than 0.1.
 
-    ``growing``: keep every transition in place of the paper's window; that model misses none.
+    ``growing``: keep every transition instead of the paper's window; that model fits all.
     """
     example = linear_example()
     scheme = replace(example.scheme, estimator=GrowingMemory(1.0)) if growing else example.scheme
     trace = simulate(scheme, example.plant, example.z0, 200)
-    # The transition into x(3) fits the others' (A, B) as well, but it is not among those that the memory keeps.
+    # The (A, B) of the others fits the transition into x(3) too, but the memory does not contain it.
     regressors, successors = example_transitions(trace, scheme.first_measured if growing else 3)
     missing = float(np.max(np.abs(successors - regressors @ theta_matrix(trace.steps[-1].model).T)))
     movement = float(np.max(np.abs(trace.theta[-1] - trace.theta[-50])))
@@ -77,7 +77,7 @@ def check_settles_outside(effort: Effort, growing: bool = False) -> Evidence:
 def example_record(trace: Trace) -> tuple[Estimates, SignalModel]:
     """Return the linear example's lifted signals and estimates, and the (A, B) that fits its transitions from x(3) on.
 
-    There is one such (A, B), or else it is that of least norm.
+    If (A, B) is not unique, it is that of least norm.
     """
     regressors, successors = example_transitions(trace, 1)
     n = trace.scheme.initial_model.n
@@ -94,8 +94,8 @@ def draw_estimates(
 ) -> tuple[Estimates, SignalModel, float]:
     """Run the estimator on a random trajectory of a random signal model; return estimates, truth and lambda_max.
 
-    ``noise``: added to the signals, which then obey no signal model.
-    ``decay``: by which the inputs shrink from step to step.
+    ``noise``: added to the signals, which then satisfy no signal model.
+    ``decay``: factor on the inputs at each step.
     ``silent``: no inputs at all. Otherwise exciting ones, ones in one direction, or none.
     """
     n, q, window = (int(size) for size in rng.integers(1, 4, 3))
@@ -109,17 +109,17 @@ def draw_estimates(
 
 
 def check_settles(effort: Effort, window: int = 1, noise: float = 0.0, exponent: float = 0.75) -> Evidence:
-    """Theorem 2(i) as stated: how much longer the second half of the estimates' path is than the quarter before.
+    """Check Theorem 2(i) as stated: the estimates' path in its second half, relative to the quarter before.
 
-    Where the estimates converge, however slowly, it is shorter. ``window``: the estimator's, on the spiral's data
-    (A = 0, B = 0). ``exponent``: of the spiral's angles; above one it stops.
-    ``noise``: if positive, look at noisy data instead, which obey no signal model.
+    If the estimates converge, even slowly, it is shorter. ``window``: the estimator's, on the spiral's data
+    (A = 0, B = 0). ``exponent``: of the spiral's angles; above one the rotation stops.
+    ``noise``: if positive, use noisy data instead, which satisfy no signal model.
     """
     record = spiral_estimates(1500, window, exponent)
     if noise:
         record, _, _ = draw_estimates(effort.rng("theorem-2.i"), 200, noise)
     growth = path_growth(np.array([model.theta for model in record.models]))
-    return Evidence(len(record.models), growth, 0.0, "a path that shrinks from half to half has a finite length")
+    return Evidence(len(record.models), growth, 0.0, "a path with ever shorter halves has a finite length")
 
 
 def check_sums(effort: Effort, noise: float = 0.0) -> Evidence:
@@ -135,24 +135,25 @@ def check_sums(effort: Effort, noise: float = 0.0) -> Evidence:
 
 
 def check_exciting(effort: Effort, level: float = 1.0) -> Evidence:
-    """See the estimates reach the truth where the inputs excite (random ones of the given size, 300 steps)."""
+    """Check that estimates converge to the truth with exciting inputs (random ones of the given size, 300 steps)."""
     rng, found = effort.rng("theorem-2.i.exciting"), []
     for _ in range(max(2, effort.cases // 20)):
-        # Every direction of [x; u] is excited by about one, whatever is drawn; else 300 steps may not be enough.
+        # Every direction of [x; u] is excited by about one in each draw, or 300 steps may not be enough.
         A = np.linalg.qr(rng.standard_normal((2, 2)))[0]
         truth, initial = SignalModel(0.7 * A, np.eye(2)), draw_model(rng, 2, 2)
         u = level * rng.standard_normal((300, 2))
         x = trajectory(truth, level * rng.standard_normal(2), u)
         record = estimate(x, u, initial, 4, rng.uniform(0, 0.3, 300), first=4)
         found.append(record.distances(truth.theta)[-1])
-    return Evidence(len(found), worst_of([float(last) for last in found]), _SETTLED, "what counts as arrived")
+    return Evidence(
+        len(found), worst_of([float(last) for last in found]), _SETTLED, "the distance that counts as convergence"
+    )
 
 
 def check_decaying(effort: Effort, counted: int | None = None) -> Evidence:
     """Check the length of the estimates' path against the sum of the squared norms of the windows.
 
-    ``counted``: how many windows of the spiral's data to count, which are all of one size; random decaying data if
-    omitted.
+    ``counted``: number of windows of the spiral's data in the sum, all of one size; by default random decaying data.
     """
     rng, found = effort.rng("theorem-2.i.decaying"), []
     for _ in range(1 if counted else max(5, effort.cases // 3)):
@@ -171,7 +172,7 @@ def check_decaying(effort: Effort, counted: int | None = None) -> Evidence:
 def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
     """Check the error bound after (8), for horizons above the window, and that its omegas have finite sums.
 
-    ``planned``: predict along inputs of which only the first is then applied.
+    ``planned``: predict along inputs of which only the first is applied.
     """
     rng, found = effort.rng("theorem-2.ii"), []
     for _ in range(max(3, effort.cases // 10)):
@@ -191,9 +192,9 @@ def check_prediction(effort: Effort, planned: bool = False) -> Evidence:
 
 
 def check_one_step(effort: Effort, applied: bool = True) -> Evidence:
-    """Check (8) for one step along the plan, and the sums of its omegas: what the proof of Lemma 2 takes from it.
+    """Check (8) for one step along the plan, and the sums of its omegas, which the proof of Lemma 2 uses.
 
-    Of the plan only the first input is applied; the others are drawn at random. ``applied`` False: that one too.
+    Only the first input of the plan is applied; the others are random. ``applied`` False: the first is random too.
     """
     rng, found = effort.rng("theorem-2.ii.one-step"), []
     for _ in range(max(3, effort.cases // 10)):
@@ -213,8 +214,8 @@ def check_one_step(effort: Effort, applied: bool = True) -> Evidence:
 def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
     """Predict two steps ahead on x(k) = 1, A = 1, B = 1, u = 0, with a second input that is planned but not applied.
 
-    The evidence is the squared error of the last estimate over the sum of squares of state and inputs; (8) wants it to
-    vanish, the state being constant and the residual zero. ``second`` is that input; zero is what is applied.
+    The evidence is the squared error of the last estimate over the sum of squares of state and inputs. It vanishes
+    under (8), since the state is constant and the residual zero. ``second``: the second input; zero is applied.
     """
     truth = SignalModel(np.ones((1, 1)), np.ones((1, 1)))
     u = np.zeros((200, 1))
@@ -228,7 +229,7 @@ def check_planned(effort: Effort, second: float = -0.5) -> Evidence:
     )
     s = np.array([[0.0], [second]])
     error = float(prediction_errors(record, 200, s, truth)[1, 0])
-    return Evidence(1, error**2 / (1 + float(np.sum(s**2))), _SETTLED, "what counts as vanished")
+    return Evidence(1, error**2 / (1 + float(np.sum(s**2))), _SETTLED, "the size that counts as zero")
 
 
 _THEOREM = "xxx"
@@ -250,30 +251,30 @@ CLAIMS: tuple[Claim, ...] = (
         corrected=check_prehistory,
         reason="With signals set to zero before k = 0, as the paper has it, the linear example's transitions into "
         "x(0), x(1) and x(2) fit no common (A, B): fitting from x(0), x(1), x(2) on leaves 9.9, 0.9 and 0.08, from "
-        "x(3) on nothing. This does no harm: apply the theory from the step on at which the window holds none of them.",
+        "x(3) on nothing. This is harmless: apply the theory from the step on at which the window holds none of them.",
         kind="hypothesis",
     ),
     claim(
         "theorem-2.i",
         "Theorem 2(i)",
         _THEOREM,
-        "The estimates converge, whatever the signals, as long as Assumption 7 holds.",
+        "The estimates converge for all signals that satisfy Assumption 7.",
         "simulation",
         "refuted",
         stated=check_settles,
         control=Control("data that satisfy no signal model", partial(check_settles, noise=0.3)),
         instance=Control("inputs whose angles have a finite sum", partial(check_settles, exponent=1.5)),
-        reason="It rests on Lemma 4, and fails as that does: with A = 0, B = 0, x = 0 and unit inputs nearly "
-        "orthogonal to the estimate of B, that estimate turns for ever (proof: lemma-4.no-limit). What does hold: "
-        "theorem-2.i.weak for all data; theorem-2.i.growing with another estimator, theorem-2.i.decaying and "
-        "theorem-2.i.exciting on fewer data, for convergence.",
+        reason="It uses Lemma 4 and fails in the same way: with A = 0, B = 0, x = 0 and unit inputs nearly "
+        "orthogonal to the estimate of B, that estimate rotates for ever (proof: lemma-4.no-limit). Claim "
+        "theorem-2.i.weak holds for all data. Convergence holds with another estimator (theorem-2.i.growing) and for "
+        "restricted data (theorem-2.i.decaying, theorem-2.i.exciting).",
         uses=("assumption-6", "assumption-7", "lemma-4"),
     ),
     claim(
         "theorem-2.i.weak",
         "Theorem 2(i)",
         _THEOREM,
-        "For all data that obey (18), with squares, the distance to every (A, B) that fits never grows, and squared "
+        "For all data that satisfy (18), with squares, the distance to every (A, B) that fits never grows, and squared "
         "steps and residuals sum to at most its first square over 1 - lambda_max: steps and residuals tend to zero.",
         "numerical sampling",
         "holds",
@@ -294,9 +295,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_decaying,
-        control=Control(
-            "signals that do not decay, of which four windows are counted", partial(check_decaying, counted=4)
-        ),
+        control=Control("signals that do not decay, with four windows in the sum", partial(check_decaying, counted=4)),
         uses=("theorem-2.i.weak",),
         proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-weak",
     ),
@@ -316,8 +315,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.i.example",
         "Theorem 2(i)",
         _THEOREM,
-        "In the linear example the estimates come to rest, at a model that misses early transitions, which do fit one "
-        "(A, B), by more than 0.1: the limit is no common minimiser.",
+        "In the linear example the estimates converge to a model that misses early transitions, which do fit one "
+        "(A, B), by more than 0.1: the limit is not a common minimiser.",
         "simulation",
         "observed",
         stated=check_settles_outside,
@@ -336,10 +335,10 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("inputs that are planned and not applied", partial(check_prediction, planned=True)),
         corrected=check_prediction,
         reason="(6), convergence, fails with (i). (7) holds exactly (eq-21). (8) holds for recorded inputs and every "
-        "horizon, not only for one step less than the window, as the proof has it: chain the residuals of later "
-        "estimates instead of comparing with a limit. With squares, omega_1 is made of residuals e*, omega_2 and "
+        "horizon, not only for one step less than the window, as in the proof: chain the residuals of later "
+        "estimates instead of comparing with a limit. With squares, omega_1 consists of residuals e*, omega_2 and "
         "omega_3 of |theta*(k+j+1) - theta~(k)|^2; their sums over k are finite (theorem-2.i.weak). A loss that varies "
-        "must not fade (theorem-2.ii.fading, theorem-2.ii.varying).",
+        "must not vanish (theorem-2.ii.fading, theorem-2.ii.varying).",
         uses=("eq-21", "theorem-2.i.weak"),
         proof="notebooks/11-theorem-2.ipynb#proof-theorem-2-ii",
     ),
@@ -348,7 +347,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 2(ii)",
         _THEOREM,
         "For one step (8) also holds along the plan, whose first input is applied, and with squares its omegas have "
-        "finite sums; the proof of Lemma 2 takes no more of it.",
+        "finite sums; the proof of Lemma 2 uses only this.",
         "numerical sampling",
         "holds",
         stated=check_one_step,
@@ -360,17 +359,18 @@ CLAIMS: tuple[Claim, ...] = (
         "text-assumption-4-holds",
         "text",
         "mainthm",
-        "Before Theorem 3 the text says that by Theorem 2 Assumption 4 holds. That asks for (8) along the plan, of "
+        "Before Theorem 3 the text says that by Theorem 2 Assumption 4 holds. That requires (8) along the plan, of "
         "which only the first input is applied.",
         "simulation",
         "refuted",
         stated=check_planned,
-        control=Control("a plan whose second input differs yet more", partial(check_planned, second=-2.0)),
+        control=Control("a plan whose second input differs more", partial(check_planned, second=-2.0)),
         instance=Control("a plan that is then applied", partial(check_planned, second=0.0)),
-        reason="Theorem 2(ii) speaks of the recorded inputs, and of those it is right. On the data x = 1, A = 1, "
-        "B = 1, u = 0 the estimate of B never moves; with a second input that is planned and not applied the "
-        "prediction two steps ahead stays wrong by a constant. Data say nothing of inputs that are never applied. The "
-        "proof of Lemma 2 uses (8) for one step only, whose input is applied (theorem-2.ii.one-step).",
+        reason="Theorem 2(ii) is about the recorded inputs, and is right for them. On the data x = 1, A = 1, "
+        "B = 1, u = 0 the estimate of B never changes; with a second input that is planned and not applied the "
+        "prediction two steps ahead stays wrong by a constant. Data contain no information about inputs that are "
+        "never applied. The proof of Lemma 2 uses (8) for one step only, whose input is applied "
+        "(theorem-2.ii.one-step).",
         uses=("theorem-2.ii",),
     ),
     *VARYING[1:],

@@ -1,4 +1,4 @@
-"""Theorem 2(iii): which pair mixing keeps controllable, and whether the limit of the estimates can be."""
+"""Theorem 2(iii): the pair that mixing keeps controllable, and controllability of the limit of the estimates."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _EXACT = "exact: rational numbers"
 
 
 def _rational(pair: Pair) -> tuple[sp.Matrix, sp.Matrix]:
-    import sympy as sp  # here, because it takes a while to load
+    import sympy as sp  # imported here, because loading it takes long
 
     return sp.Matrix(pair[0].tolist()), sp.Matrix(pair[1].tolist())
 
@@ -36,8 +36,8 @@ def _floats(A: sp.Matrix, B: sp.Matrix) -> SignalModel:
 def check_kept(effort: Effort, *, mix: bool = True) -> Evidence:
     """Count pairs in use that are not controllable, exactly, along chains of mixtures.
 
-    Each chain begins with a controllable pair, and every estimate after it is a pair that is not; the library's search
-    mixes it with the pair before. ``mix`` False puts the estimates to use as they are.
+    Each chain begins with a controllable pair, and every later estimate is not controllable; the library's search
+    mixes it with the previous pair. ``mix`` False: use the estimates themselves.
     """
     rng, faults, cases = effort.rng("theorem-2.iii"), 0, 0
     search = LambdaSearch("lifted", "best", 0.9, 1e-9)
@@ -63,10 +63,10 @@ def _uncontrollable(rng: np.random.Generator, n: int, q: int) -> Pair:
 def check_step_to_augmented(
     effort: Effort, share: int = -1, third: int = 0, on: Literal["lifted", "augmented"] = "lifted"
 ) -> Evidence:
-    """Count models y+ = a y + b v + c v(k-1) - a d v(k-2) whose augmented pair is lost though the lifted one is not.
+    """Count models y+ = a y + b v + c v(k-1) - a d v(k-2) whose lifted pair alone is controllable.
 
-    ``share``: c = d + share a b; -1 is where a zero cancels the pole. ``third``: d; without it two inputs are stacked.
-    ``on``: which pair the search keeps controllable.
+    ``share``: c = d + share a b; -1: a zero cancels the pole. ``third``: d; without it two inputs are stacked.
+    ``on``: the pair that the search keeps controllable.
     """
     rng, faults, cases = effort.rng("theorem-2.iii.augmented"), 0, 0
     lifting, search = DelayLifting(1, 3 if third else 2), LambdaSearch(on, "best", 0.9, 1e-9)
@@ -78,7 +78,7 @@ def check_step_to_augmented(
         lam = Fraction(float(search.choose(estimate, before, lifting.augment)))
         A = [[(1 - lam) * new[0] + lam * old[0]]]
         B = [[(1 - lam) * x + lam * y for x, y in zip(new[1], old[1], strict=True)]]
-        if is_controllable(A, B):  # else it says nothing of the step from the one to the other
+        if is_controllable(A, B):  # otherwise there is no evidence about the step from one to the other
             faults, cases = faults + (not is_controllable(*augmented_exactly(A, B, 1))), cases + 1
     return Evidence(cases, float(faults), 0.0, _EXACT)
 
@@ -86,7 +86,7 @@ def check_step_to_augmented(
 def check_affine(effort: Effort, power: int = 1) -> Evidence:
     """Compare the augmentation of a mixture with the mixture of the augmentations, on integers.
 
-    ``power``: mix the entries' powers instead, which is no longer affine.
+    ``power``: mix powers of the entries instead, which is not affine.
     """
     rng, gaps = effort.rng("theorem-2.iii.affine"), []
     for _ in range(effort.cases):
@@ -119,7 +119,7 @@ def augmented_exactly(A: Any, B: Any, q: int) -> tuple[sp.Matrix, sp.Matrix]:
 
 
 def stacks_of_plant(F: Any, G: Any, H: Any, m: int, v: Any, z: Any) -> tuple[sp.Matrix, sp.Matrix]:
-    """Return x(k), u(k) side by side, and x(k+1), in rows, from the first k at which the stacks are measured.
+    """Return rows [x(k), u(k)] and x(k+1), from the first k at which the stacks are measured.
 
     The plant, its inputs v, one to a row, and its first state are integers or fractions.
     """
@@ -141,13 +141,13 @@ def stacks_of_plant(F: Any, G: Any, H: Any, m: int, v: Any, z: Any) -> tuple[sp.
 
 
 def exact_models(rng: np.random.Generator, phi: sp.Matrix, after: sp.Matrix, count: int) -> list[tuple[Any, Any]]:
-    """Draw rational pairs (A, B) that reproduce all transitions; what the data leave open is drawn at random."""
+    """Draw rational pairs (A, B) that reproduce all transitions; components not determined by the data are random."""
     import sympy as sp
 
     n, (gram, pivots) = after.cols, phi.hstack(phi, after).rref()
     chosen = [j for j in pivots if j < phi.cols]
     if len(chosen) < len(pivots):
-        raise ValueError("the data obey no signal model")
+        raise ValueError("the data satisfy no signal model")
     theta = sp.zeros(phi.cols, n)
     for i, j in enumerate(chosen):
         theta[j, :] = gram[i, phi.cols :]
@@ -167,8 +167,8 @@ _PLANTS = ((1, 1, 2), (1, 1, 3), (2, 1, 3), (2, 2, 2))
 def check_limit(effort: Effort, *, excite: bool = True) -> Evidence:
     """Count models that are exact on a plant's data and have a controllable augmented pair, where mp > n.
 
-    The data are made in integers; a draw whose regressors do not span S x R^q, with S the span of the X(k), is drawn
-    anew. ``excite`` False: the inputs are v = -y, so that they do not, and nothing is drawn anew.
+    The data are integers; a draw whose regressors do not span S x R^q, with S the span of the X(k), is repeated.
+    ``excite`` False: the inputs are v = -y, so they do not span it, and no draw is repeated.
     """
     rng, faults, cases = effort.rng("theorem-2.iii.limit"), 0, 0
     for n, p, m in _PLANTS:
@@ -186,7 +186,7 @@ def _data(rng: np.random.Generator, n: int, p: int, m: int, excite: bool) -> tup
         z, v = rng.integers(-3, 4, (n, 1)), rng.integers(-2, 3, (2 * m + n + 4, 1))
         if excite:
             phi, after = stacks_of_plant(F, G, H, m, v, z)
-        else:  # the outputs are those of the loop that v = -y_1 closes, left alone
+        else:  # the outputs are those of the loop closed by v = -y_1
             phi, after = stacks_of_plant(F - G @ H[:1], G, H, m, 0 * v, z)
             phi[:, m * p :] = -phi[:, : m * p : p]
         state = phi[:, : m * p].row_join(phi[:, m * p + 1 :])  # X(k)
@@ -205,9 +205,9 @@ def unexcited_model(true: bool = False) -> tuple[list[list[Any]], list[list[Any]
 
 
 def check_unexcited(effort: Effort, true: bool = False) -> Evidence:
-    """See data of rank one that a model reproduces, its augmented pair with a margin of one, and the memory keep it.
+    """Check that a model with augmented margin one reproduces data of rank one, and that the memory keeps a margin.
 
-    ``true``: look at the plant's own model instead.
+    ``true``: test the plant's own model instead.
     """
     import sympy as sp
 
@@ -221,7 +221,7 @@ def check_unexcited(effort: Effort, true: bool = False) -> Evidence:
     C = controllability(*augmented_exactly(A, B, 1))
     # An orthogonal controllability matrix has the margin one, exactly.
     faults = [float(phi.rank() != 1), float(not misfit.is_zero_matrix), float(sp.eye(3) != C.T * C)]
-    # The memory begins beside the model and must end with a margin: the data do not ask it to give that up.
+    # The memory begins near the model and must end with a margin, which the data permit.
     x, u = (np.array(of.tolist(), dtype=float) for of in (phi[:, :2], phi[:, 2:]))
     x = np.vstack([x, np.array(after[-1, :].tolist(), dtype=float)])
     begin = _floats(A, B).mix(SignalModel(np.zeros((2, 2)), np.zeros((2, 2))), 0.1)
@@ -262,17 +262,17 @@ CLAIMS: tuple[Claim, ...] = (
         stated=check_step_to_augmented,
         control=Control("a third input stacked", partial(check_step_to_augmented, third=2)),
         instance=Control(
-            "past inputs that act the other way, y+ = a y + b v + a b v(k-1)", partial(check_step_to_augmented, share=1)
+            "past inputs with the opposite sign, y+ = a y + b v + a b v(k-1)", partial(check_step_to_augmented, share=1)
         ),
-        reason="The lifted pair counts past inputs as free. The lifted pair of y+ = a y + b v - a b v(k-1) is "
-        "controllable, while no input changes how y - b v(k-1) moves. Theorem 2(iii) speaks of the lifted pair and is "
-        "right; the search has to look at the augmented pair, and may (theorem-2.iii.search).",
+        reason="The lifted pair treats past inputs as free. The lifted pair of y+ = a y + b v - a b v(k-1) is "
+        "controllable, while no input affects y - b v(k-1). Theorem 2(iii) is about the lifted pair and is right; the "
+        "search must use the augmented pair, and can (theorem-2.iii.search).",
     ),
     _claim(
         "theorem-2.iii.search",
         "Theorem 2(iii)",
         "xxx",
-        "The same search, looking at the augmented pair, keeps that one controllable, if the first is.",
+        "The same search on the augmented pair keeps that pair controllable, if the first one is.",
         "exact arithmetic",
         "holds",
         stated=partial(check_step_to_augmented, on="augmented"),
@@ -284,7 +284,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.iii.affine",
         "Theorem 2(iii)",
         "xxx",
-        "Augmenting commutes with mixing, so that Lemma 5 applies to the augmented pair as it stands.",
+        "Augmenting commutes with mixing, so Lemma 5 applies to the augmented pair.",
         "exact arithmetic",
         "holds",
         stated=check_affine,
@@ -309,7 +309,7 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.iii.unexcited",
         "Theorem 2(iii)",
         "xxx",
-        "Without excitation it may have one: z+ = 1.2 z + v, y = z, m = 2 under v = -y gives data of rank one, and "
+        "Without excitation there may be one: z+ = 1.2 z + v, y = z, m = 2 under v = -y gives data of rank one, and "
         "y+ = 1.04 y(k-1) + v(k-1) is exact on them, with an augmented margin of one.",
         "exact arithmetic",
         "holds",

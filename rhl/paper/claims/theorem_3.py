@@ -25,16 +25,16 @@ from rhl.trace import Trace
 
 _claim = partial(Claim, page="notebooks/13-theorem-3.ipynb", test="tests/paper/claims/test_theorem_3.py")
 
-# Slow modes are still decaying when a run ends; one that does not converge ends at its peak, which is 1.
+# Slow modes are still decaying when a run ends; a run that does not converge ends at its peak, which is 1.
 _SETTLED = 0.1
 _STEPS = 400
 
 
 def random_plants(rng: np.random.Generator, count: int, reachable: bool = True) -> tuple[LinearPlant, Array]:
-    """Draw plants of order 3, one input and one output, with initial states of length one, shape (count, 3).
+    """Draw plants of order 3, one input and one output, with initial states of norm one, shape (count, 3).
 
     Each has an unstable block of order 2 (spectral radius 1.2) and a stable mode that no input reaches. ``reachable``
-    False cuts the input off the unstable block: not stabilizable.
+    False: no input gain in the unstable block, so the plant is not stabilizable.
     """
     forms = [kalman_form(rng, 1, 1, (2, 1, 0)) for _ in range(count)]
     F, G, H = (np.stack([getattr(form, name) for form in forms]) for name in "FGH")
@@ -54,7 +54,7 @@ def scheme_for(m: int, initial_model: SignalModel | None = None) -> Scheme:
 
 @cache
 def unknown_plants(seed: int, count: int, reachable: bool) -> Trace:
-    """Run the scheme on a batch of unknown plants; kept, for several claims look at it."""
+    """Run the scheme on a batch of unknown plants; cached, since several claims use it."""
     plant, z0 = random_plants(Effort(seed).rng("theorem-3"), count, reachable)
     return simulate(scheme_for(3), plant, z0, _STEPS)
 
@@ -66,13 +66,13 @@ def end_over_peak(trace: Trace) -> Array:
 
 
 def late_factor(trace: Trace, steps: int = 100) -> Array:
-    """Return by what factor each state shrinks per step, on average over the last steps of its run, shape (...)."""
+    """Return the mean factor on each state per step over the last steps of its run, shape (...)."""
     size = np.linalg.norm(trace.z, axis=-1)
     return np.asarray((size[-1] / size[-1 - steps]) ** (1 / steps))
 
 
 def radius_without_weight(trace: Trace, plant: LinearPlant) -> Array:
-    """Return the spectral radius of each loop with its last model kept and no terminal weight, shape (count,).
+    """Return the spectral radius of each loop with its last model fixed and no terminal weight, shape (count,).
 
     ``trace``: a batch of runs of ``plant``, shape (count,), with m at least the observability index.
     """
@@ -86,7 +86,7 @@ def radius_without_weight(trace: Trace, plant: LinearPlant) -> Array:
 
 
 def check_convergence(effort: Effort, reachable: bool = True) -> Evidence:
-    """Look whether state and input have come down from their peak at the end of each run."""
+    """Compare state and input at the end of each run with their peak."""
     trace = unknown_plants(effort.seed, effort.cases, reachable)
     if np.any(trace.diverged_at >= 0):
         return Evidence(effort.cases, np.inf, _SETTLED, "a run left the range of floating-point numbers")
@@ -100,10 +100,10 @@ def never_acts(initial: SignalModel) -> Trace:
 
 
 def check_never_acts(effort: Effort, A: float = 0.0, B: float = 0.0) -> Evidence:
-    """Run the scheme of Theorem 3 as printed on z+ = 2z + v from an initial model; it must end at rest.
+    """Run the scheme of Theorem 3 as printed on z+ = 2z + v from an initial model; it must go to zero.
 
-    ``effort`` is not used: nothing is drawn. ``A``, ``B``: the initial model; zero is not controllable. The gains of
-    the plans, which Assumption 5(b) bounds, must stay bounded, or the run is no evidence.
+    ``effort`` is not used, since nothing is random. ``A``, ``B``: the initial model; zero is not controllable. The
+    gains of the plans, which Assumption 5(b) bounds, must stay bounded, or the run is no evidence.
     """
     trace = never_acts(SignalModel(np.array([[A]]), np.array([[B]])))
     gains = [float(np.max(np.abs(np.concatenate([done.plan.u, done.plan.x[:-1]], axis=1)))) for done in trace.steps]
@@ -113,9 +113,9 @@ def check_never_acts(effort: Effort, A: float = 0.0, B: float = 0.0) -> Evidence
 
 
 def check_peaking(effort: Effort, known: bool = False) -> Evidence:
-    """Look whether the median run's state grows at least tenfold before it settles.
+    """Check that the median run's state grows at least tenfold before it converges.
 
-    ``known``: control the same plants with a model that is right, and held, from the first step.
+    ``known``: control the same plants with the exact, fixed model from the first step.
     """
     trace = known_plants(effort.seed, effort.cases) if known else unknown_plants(effort.seed, effort.cases, True)
     peak = np.max(np.linalg.norm(trace.z, axis=-1), axis=0)
@@ -124,7 +124,7 @@ def check_peaking(effort: Effort, known: bool = False) -> Evidence:
 
 @cache
 def known_plants(seed: int, count: int) -> Trace:
-    """Run the controller on the same plants, each with its pair (55) as the model, held by a huge proximal weight."""
+    """Run the controller on the same plants, each with its pair (55) as the model, fixed by a huge proximal weight."""
     plant, z0 = random_plants(Effort(seed).rng("theorem-3"), count)
     models = [signal_model(F, G, H, 3) for F, G, H in zip(plant.F, plant.G, plant.H, strict=True)]
     model = SignalModel(np.stack([each.A for each in models]), np.stack([each.B for each in models]))
@@ -152,7 +152,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Assumption 1",
         "ass1ground",
         "The plant is stabilizable and detectable, and a bound m on its order is known.",
-        reason="A hypothesis. What happens without it is seen in the controls of lemma-6.converse and theorem-3.",
+        reason="A hypothesis. The controls of lemma-6.converse and theorem-3 show what happens without it.",
         kind="hypothesis",
     ),
     _claim(
@@ -167,10 +167,11 @@ CLAIMS: tuple[Claim, ...] = (
         instance=Control(
             "the controllable initial model A(0) = B(0) = 1", lambda effort: check_never_acts(effort, 1.0, 1.0)
         ),
-        reason="It must ask for a controllable initial model and for mixing: for z+ = 2z + v, y = z, m = 1, "
+        reason="It must require a controllable initial model and mixing: for z+ = 2z + v, y = z, m = 1, "
         "A(0) = B(0) = 0 and lambda = 0, no input is ever applied, A(k) tends to 2, the gains are bounded, and "
         "z(k) = 2^k z(0). "
-        "And what must stay controllable is the augmented pair (theorem-2.iii). What holds is theorem-3.prime.",
+        "Also, the augmented pair must stay controllable (theorem-2.iii). Claim theorem-3.prime is the theorem that "
+        "holds.",
         uses=(
             "assumption-1",
             "assumption-3",
@@ -188,11 +189,11 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-3.runs",
         "Theorem 3",
         "mainthm",
-        "On a hundred random unknown plants state and input come down to a tenth of their peak in 400 steps.",
+        "On a hundred random unknown plants state and input decrease to a tenth of their peak in 400 steps.",
         method="simulation",
         recorded="observed",
         stated=check_convergence,
-        control=Control("the input cut off the unstable block", lambda effort: check_convergence(effort, False)),
+        control=Control("no input into the unstable block", lambda effort: check_convergence(effort, False)),
     ),
     _claim(
         "text-peaking",
@@ -202,7 +203,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         recorded="observed",
         stated=check_peaking,
-        control=Control("the right model from the first step", lambda effort: check_peaking(effort, known=True)),
+        control=Control("the exact model from the first step", lambda effort: check_peaking(effort, known=True)),
     ),
     _claim(
         "eq-1",

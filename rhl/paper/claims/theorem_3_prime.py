@@ -1,4 +1,4 @@
-"""Theorem 3': the overall scheme with a hypothesis that a run shows, this project's own; and the paper's extensions."""
+"""Theorem 3': this project's theorem on the overall scheme, whose hypothesis a run can show; and extensions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _claim = partial(Claim, page="notebooks/13-theorem-3.ipynb", test="tests/paper/c
 
 _STEPS = 300
 _AT_REST = 1e-2
-# delta of the theorem: runs whose smallest s+ is below it are not runs of the theorem.
+# delta of the theorem, which does not cover runs with a smaller s+.
 _LEAST = 1e-7
 # Outputs, inputs, sizes of the blocks of (52), and how much m exceeds the observability index.
 _PLANTS = (
@@ -71,7 +71,7 @@ def runs(seed: int, cases: int) -> tuple[tuple[Trace, tuple[SignalModel, ...]], 
 
 
 def of_the_theorem(trace: Trace) -> np.ndarray:
-    """Say of which runs every planned pair had a margin above delta, shape (runs,).
+    """Return the runs in which every planned pair has a margin above delta, shape (runs,).
 
     The margin is that of n' steps, which is at most that of the theorem's N.
     """
@@ -79,19 +79,19 @@ def of_the_theorem(trace: Trace) -> np.ndarray:
 
 
 def check_rest(effort: Effort) -> Evidence:
-    """Look whether every run whose margin stays above delta ends at rest; other runs are not counted."""
+    """Check that every run whose margin stays above delta converges to zero; other runs are ignored."""
     found: list[float] = []
     for trace, _ in runs(effort.seed, effort.cases):
         found += list(end_over_peak(trace)[of_the_theorem(trace)])
-    return Evidence(len(found), worst_of(found), _AT_REST, "what is left of slow modes after 300 steps")
+    return Evidence(len(found), worst_of(found), _AT_REST, "the rest of slow modes after 300 steps")
 
 
 def check_links(effort: Effort, share: float = 2.0) -> Evidence:
-    """Check what makes estimates bounded, steps and residuals vanish, and with them the one-step error.
+    """Check the identity behind bounded estimates and vanishing steps, residuals and one-step errors.
 
     With squares, theta being the pair (55), rho the generator's weight and no mixing, each step obeys exactly
     rho |theta - theta~(k)|^2 = rho |theta - theta*|^2 + rho |theta* - theta~(k)|^2 + 2 (squared residuals of theta*),
-    so that the sums of the last two are finite. ``share``: in the place of the two.
+    so the sums of the last two are finite. ``share``: replaces the factor two.
     """
     found = []
     for trace, truths in runs(effort.seed, effort.cases):
@@ -111,7 +111,7 @@ def check_links(effort: Effort, share: float = 2.0) -> Evidence:
             )
             left = sum(np.sum(residual**2, axis=-1) for residual in residuals)
             size = sum(np.sum(known[j] ** 2, axis=-1) for j in past)
-            # The pair (55) is rounded too, and misses the signals by 1e-13 of their size.
+            # The pair (55) is rounded too, with errors of 1e-13 relative to the signals.
             found.append(float(np.max(np.abs(before - after - step - share * left) / (before + 1e-5 * size + 1e-300))))
     return Evidence(len(found), worst_of(found), 1e-9, "rounding, relative to the squared distance and signals")
 
@@ -133,19 +133,19 @@ def settled_runs(seed: int, cases: int) -> tuple[Trace, ...]:
 
 
 def check_limit(effort: Effort) -> Evidence:
-    """Look whether every run ends at rest whose estimates have settled at a pair with a controllable augmented pair."""
+    """Check that every run whose estimates converge to a pair with controllable augmented pair converges to zero."""
     found: list[float] = []
     for trace in settled_runs(effort.seed, effort.cases):
         last, earlier = trace.model(len(trace) - 1), trace.model(len(trace) - 30)
         settled = np.max(np.abs(last.theta - earlier.theta), axis=-1) < 1e-6
         found += list(end_over_peak(trace)[settled & (trace.margin_augmented[-1] > _LEAST)])
-    return Evidence(len(found), worst_of(found), _AT_REST, "what is left of slow modes after 200 steps")
+    return Evidence(len(found), worst_of(found), _AT_REST, "the rest of slow modes after 200 steps")
 
 
 def largest_states(epsilon: Callable[[int], float], sizes: Array) -> Array:
     """Return sup |x(k)| of the loop with the model known, for x(0) of these sizes, shape (sizes, systems).
 
-    The systems are unstable and scalar, with N = 1, which is too short to hold them without the terminal weight.
+    The systems are unstable and scalar, with N = 1, which is too short to stabilise them without the terminal weight.
     """
     a = np.array([1.1, 1.3, 1.7])
     model = SignalModel(a[:, None, None], np.ones((3, 1, 1)))
@@ -157,13 +157,15 @@ def largest_states(epsilon: Callable[[int], float], sizes: Array) -> Array:
 
 
 def check_stability(effort: Effort, epsilon: Callable[[int], float] = lambda k: float(np.exp(-k / 10))) -> Evidence:
-    """Look whether the largest state goes to zero with the initial one where the model is known.
+    """Check that the largest state goes to zero with the initial one if the model is known.
 
-    ``effort`` is not used: nothing is drawn. ``epsilon``: the schedule.
+    ``effort`` is not used, since nothing is random. ``epsilon``: the schedule.
     """
     tops = largest_states(epsilon, 10.0 ** -np.arange(0, 13, 3.0))
     ratios = tops[1:] / tops[:-1]
-    return Evidence(ratios.size, float(np.max(ratios)), 0.9, "sup |x(k)| falls by a tenth or more with a thousandth")
+    return Evidence(
+        ratios.size, float(np.max(ratios)), 0.9, "sup |x(k)| decreases by a tenth or more for a thousandth of x(0)"
+    )
 
 
 def carleman(power: int = 2) -> tuple[FunctionPlant, LinearPlant]:
@@ -177,9 +179,9 @@ def carleman(power: int = 2) -> tuple[FunctionPlant, LinearPlant]:
 
 
 def check_carleman(effort: Effort, power: int = 2) -> Evidence:
-    """Run the scheme on a plant with a finite Carleman lifting; it must end at rest, and be its linear plant.
+    """Run the scheme on a plant with a finite Carleman lifting; it must go to zero as the linear plant does.
 
-    ``power``: of the second state; with another one than two the linear plant is another plant.
+    ``power``: of the second state; unless it is two, the linear plant is a different one.
     """
     rng, found = effort.rng("theorem-3.carleman"), []
     nonlinear, linear = carleman(power)
@@ -189,7 +191,7 @@ def check_carleman(effort: Effort, power: int = 2) -> Evidence:
         other = simulate(scheme_for(1, 1, 2), linear, [z0[0], z0[1] ** 2], 200)
         found.append(float(end_over_peak(one)) - 1e-6)
         found.append(float(np.max(np.abs(one.y - other.y)) / np.max(np.abs(one.y))))
-    return Evidence(len(found), worst_of(found), 1e-6, "rounding, which the loop makes larger while it learns")
+    return Evidence(len(found), worst_of(found), 1e-6, "rounding, magnified by the loop while it learns")
 
 
 _PROOF = "notebooks/13-theorem-3.ipynb#proof-theorem-3-prime"
@@ -205,7 +207,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         recorded="holds",
         stated=check_rest,
-        control=Control("an initial model that keeps that value at zero", check_never_acts),
+        control=Control("an initial model that keeps this value at zero", check_never_acts),
         uses=(
             "assumption-1",
             "assumption-3",
@@ -223,8 +225,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-3.prime.links",
         "Theorem 3'",
         "",
-        "Each estimate takes from the squared distance to the pair (55) exactly its own squared step and twice its "
-        "squared residuals, so that the sums of both are finite and the one-step error vanishes.",
+        "Each estimate decreases the squared distance to the pair (55) exactly by its own squared step and twice its "
+        "squared residuals, so the sums of both are finite and the one-step error vanishes.",
         method="numerical sampling",
         recorded="holds",
         stated=check_links,
@@ -236,8 +238,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-3.limit",
         "Theorem 3",
         "mainthm",
-        "If the estimates converge to a model whose augmented pair is controllable, Assumption 5(b) may be dropped; "
-        "the paper says it of the lifted pair, which is not enough (theorem-2.iii.augmented).",
+        "If the estimates converge to a model whose augmented pair is controllable, Assumption 5(b) is not needed; "
+        "the paper states this for the lifted pair, which is not enough (theorem-2.iii.augmented).",
         method="simulation",
         recorded="holds",
         stated=check_limit,
@@ -265,7 +267,7 @@ CLAIMS: tuple[Claim, ...] = (
         method="simulation",
         recorded="holds",
         stated=check_carleman,
-        control=Control("z2^3 in the place of z2^2", partial(check_carleman, power=3)),
+        control=Control("z2^3 in place of z2^2", partial(check_carleman, power=3)),
         uses=("theorem-3.prime", "remark-3"),
         proof="notebooks/13-theorem-3.ipynb#proof-carleman",
     ),

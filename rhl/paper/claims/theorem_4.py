@@ -1,4 +1,4 @@
-"""Theorem 4: a scheme that needs no Assumption 5, this project's own and reviewed by nobody else."""
+"""Theorem 4: a scheme of this project without Assumption 5, not reviewed by others."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ROUNDING = 1e-9
 
 
 def family_scheme(p: int, q: int, m: int, initial: SignalModel | None = None, alone: bool = False) -> Scheme:
-    """Return the scheme of Theorem 4 for plants of order p m; ``alone``: with no other initial model than the one."""
+    """Return the scheme of Theorem 4 for plants of order p m; ``alone``: with a single initial model."""
     n = p * m
     family = ModelFamily.grid(p, m, q, m)
     return Scheme(
@@ -45,7 +45,7 @@ def family_scheme(p: int, q: int, m: int, initial: SignalModel | None = None, al
 
 
 def silent_model(p: int, q: int, m: int) -> SignalModel:
-    """Return a model that moves stacked outputs along and thinks that no input does anything: not controllable."""
+    """Return a model that shifts stacked outputs, in which no input has an effect: not controllable."""
     shift = SignalModel.shift_of_ones(p, m, q, m)
     return SignalModel(shift.A, np.where(np.arange(p * m)[:, None] < p, 0.0, shift.B))
 
@@ -62,7 +62,7 @@ def draw_plant(rng: np.random.Generator, p: int, q: int, m: int) -> LinearPlant:
 
 @cache
 def runs(seed: int, cases: int, alone: bool = False) -> tuple[Trace | None, ...]:
-    """Run the scheme of Theorem 4 from a silent initial model on random plants; None where a run left float64."""
+    """Run the scheme of Theorem 4 from a silent initial model on random plants; None if a run left float64."""
     rng, found = Effort(seed).rng("theorem-4"), list[Trace | None]()
     for p, q, m in SIZES:
         for _ in range(max(2, cases // 40)):
@@ -75,11 +75,11 @@ def runs(seed: int, cases: int, alone: bool = False) -> tuple[Trace | None, ...]
 
 
 def check_rest(effort: Effort, alone: bool = False) -> Evidence:
-    """Look whether state and input come to rest. ``alone``: with the initial model alone."""
+    """Check that state and input converge to zero. ``alone``: with the initial model alone."""
     found = [
         np.inf if trace is None else float(end_over_peak(trace)) for trace in runs(effort.seed, effort.cases, alone)
     ]
-    return Evidence(len(found), worst_of(found), _AT_REST, "what is left of slow modes after 200 steps")
+    return Evidence(len(found), worst_of(found), _AT_REST, "the rest of slow modes after 200 steps")
 
 
 def chosen_members(trace: Trace) -> tuple[Array, Array, np.ndarray]:
@@ -99,9 +99,9 @@ def chosen_members(trace: Trace) -> tuple[Array, Array, np.ndarray]:
 
 
 def check_changes(effort: Effort, share: float = 0.9) -> Evidence:
-    """Look whether the member in use keeps the share of the largest margin, and whether changes of it end.
+    """Check that the member in use keeps the share of the largest margin, and that its changes end.
 
-    The hysteresis is 0.9, so that there are changes; without any the runs are no evidence. ``share``: what is tested.
+    The hysteresis is 0.9, so that changes occur; without any the runs are no evidence. ``share``: the tested share.
     """
     rng, worst, changes = effort.rng("theorem-4.hysteresis"), [], 0
     for p, q, m in ((1, 1, 1), (1, 1, 2), (2, 1, 1)):
@@ -122,11 +122,11 @@ def check_changes(effort: Effort, share: float = 0.9) -> Evidence:
 def check_member(effort: Effort, split: bool = False) -> Evidence:
     r"""Check step 3: the members' determinants give that of the truth, and the member of E* is the truth.
 
-    The determinant of the member of E is a polynomial in E, so that interpolation from its values on the grid gives its
-    value at E*, which is the true determinant: the sum of :math:`w_i \pi_k(E_i)` with weights that the data do not
-    change. Hence the largest is at least the true one over :math:`\Lambda = \sum |w_i|`. Members are the library's,
-    from random data of random plants. ``split``: take polynomials of degree n - 1 in the columns of outputs and n in
-    those of inputs, and a grid for them; these degrees are not kept, since M mixes the columns.
+    The determinant of the member of E is a polynomial in E, so interpolation of its values on the grid gives its
+    value at E*, which is the true determinant: the sum of :math:`w_i \pi_k(E_i)` with weights independent of the
+    data. Hence the largest is at least the true one over :math:`\Lambda = \sum |w_i|`. Members are the library's,
+    from random data of random plants. ``split``: use polynomials of degree n - 1 in the columns of outputs and n in
+    those of inputs, and a grid for them; M mixes the columns and so changes these degrees.
     """
     rng, found = effort.rng("theorem-4.member"), []
     for _ in range(max(6, effort.cases // 10)):
@@ -162,7 +162,7 @@ def check_member(effort: Effort, split: bool = False) -> Evidence:
 
 
 def _at(family: ModelFamily, exponents: tuple[int, ...]) -> int:
-    """Return the index of the grid's point whose nodes have these numbers: 0, 1, -1, 1/2 are the first four."""
+    """Return the index of the grid's point with these node numbers; the first four nodes are 0, 1, -1, 1/2."""
     point = np.array([(0.0, 1.0, -1.0, 0.5)[e] for e in exponents])
     return int(np.argmin(np.max(np.abs(family.shifts[:, 0] - point), axis=1)))
 
@@ -182,7 +182,7 @@ def remembered(rng: np.random.Generator) -> tuple[GrowingMemory, Array, Array, A
 def check_affine(effort: Effort, early: bool = False) -> Evidence:
     """Compare the library's estimate from theta_0 + E with theta^ + E M, and theta^ with theta - (theta - theta_0) M.
 
-    ``early``: take M of the data without the last transition.
+    ``early``: use M of the data without the last transition.
     """
     rng, found = effort.rng("theorem-4.affine"), []
     for _ in range(max(3, effort.cases // 5)):
@@ -202,7 +202,7 @@ def check_affine(effort: Effort, early: bool = False) -> Evidence:
 def check_errors(effort: Effort, late: bool = False) -> Evidence:
     """Check that |M(k) phi(k)|^2 is at most t_k (rho + |phi(k)|^2), where the t_k >= 0 sum to the size of phi at most.
 
-    M(k) is the library's. ``late``: take tr M(k+1) - tr M(k) for t_k.
+    M(k) is the library's. ``late``: use tr M(k+1) - tr M(k) as t_k.
     """
     rng, found = effort.rng("theorem-4.errors"), []
     for _ in range(max(3, effort.cases // 5)):
@@ -225,10 +225,10 @@ def check_errors(effort: Effort, late: bool = False) -> Evidence:
 
 
 def check_window(effort: Effort, mixed: bool = False) -> Evidence:
-    """See the paper's own estimator, with a window and mixing, move initial models affinely.
+    """Check that the paper's own estimator, with a window and mixing, maps initial models affinely.
 
     A third initial model lies on the line through two others, and must stay on the line through their estimates; and
-    the true model must stay where it is. ``mixed``: let the second mix by other constants.
+    the true model must not change. ``mixed``: other mixing constants for the second.
     """
     rng, found = effort.rng("theorem-4.window"), []
     for _ in range(max(3, effort.cases // 10)):
@@ -250,9 +250,9 @@ def check_window(effort: Effort, mixed: bool = False) -> Evidence:
 
 
 def check_controllable(effort: Effort, larger: int = 0) -> Evidence:
-    """See that the true augmented pair of a minimal plant of order p m is controllable.
+    """Check that the true augmented pair of a minimal plant of order p m is controllable.
 
-    ``larger``: by how much more than m is stacked.
+    ``larger``: number of samples stacked in addition to m.
     """
     rng, short = effort.rng("theorem-4.controllable"), []
     for _ in range(max(3, effort.cases // 5)):
@@ -272,13 +272,11 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 4",
         "",
         "For controllable plants of order mp that are observable from m outputs, the scheme with a family of initial "
-        "models brings state and input to zero, whatever the initial model, and without Assumption 5.",
+        "models brings state and input to zero for every initial model, without Assumption 5.",
         method="simulation",
         recorded="holds",
         stated=check_rest,
-        control=Control(
-            "the initial model alone, which thinks that no input does anything", partial(check_rest, alone=True)
-        ),
+        control=Control("the initial model alone, in which no input has an effect", partial(check_rest, alone=True)),
         uses=(
             "theorem-1.star",
             "theorem-4.affine",
@@ -324,7 +322,7 @@ CLAIMS: tuple[Claim, ...] = (
         "Theorem 4",
         "",
         "For one input and output with as many of both stacked, n = 1, 2, 3, the determinant of the augmented pair's "
-        "controllability matrix is the resultant of numerator and denominator, up to its sign.",
+        "controllability matrix is the resultant of numerator and denominator, up to sign.",
         method="symbolic identity",
         recorded="holds",
         stated=check_resultant,
@@ -348,8 +346,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.member",
         "Theorem 4",
         "",
-        "The member that belongs to E* is the truth at every k, and the members' determinants give the true one with "
-        "weights that the data do not change, so that the largest is bounded below.",
+        "The member of E* is the truth at every k, and the members' determinants give the true one with weights "
+        "independent of the data, so the largest is bounded below.",
         method="numerical sampling",
         recorded="holds",
         stated=check_member,
@@ -361,11 +359,11 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.hysteresis",
         "Theorem 4",
         "",
-        "The model in use keeps the share of the largest margin that the hysteresis asks for, and its changes end.",
+        "The model in use keeps the hysteresis's share of the largest margin, and its changes end.",
         method="simulation",
         recorded="holds",
         stated=check_changes,
-        control=Control("a larger share than the hysteresis asks for", partial(check_changes, share=0.999)),
+        control=Control("a larger share than the hysteresis", partial(check_changes, share=0.999)),
         uses=("theorem-4.member",),
         proof=_PROOF,
     ),
@@ -385,8 +383,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-4.window",
         "Theorem 4",
         "",
-        "The paper's own estimator, with a window and any mixing weights that do not depend on the model, moves "
-        "initial models affinely too, and keeps the truth where it is.",
+        "The paper's own estimator, with a window and any mixing weights that do not depend on the model, maps "
+        "initial models affinely too, and does not change the truth.",
         method="numerical sampling",
         recorded="holds",
         stated=check_window,

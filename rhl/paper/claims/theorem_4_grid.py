@@ -1,4 +1,4 @@
-"""Theorem 4: the polynomials that a family of initial models has to tell apart, and that its grid does."""
+"""Theorem 4: the polynomials that a family of initial models must distinguish, and the proof that its grid does."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def arx_pair(a: Any, b: Any) -> Any:
 def check_resultant(effort: Effort, other: bool = False) -> Evidence:
     """Compare the determinant with the resultant of numerator and denominator, with symbols, for n = 1, 2, 3.
 
-    ``effort`` is not used: nothing is drawn. ``other``: take the denominator with the opposite signs.
+    ``effort`` is not used, since nothing is random. ``other``: use the denominator with the opposite signs.
     """
     import sympy as sp
 
@@ -60,9 +60,9 @@ def monomials(variables: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def determined(p: int, q: int, m: int) -> list[tuple[int, ...]]:
-    """Return the monomials that the grid for these sizes has to tell apart, as exponents of the entries of E.
+    """Return the monomials that the grid for these sizes must distinguish, as exponents of the entries of E.
 
-    M mixes the entries of each row of E, so that total degrees count, in all entries together.
+    M mixes the entries of each row of E, so the total degree in all entries matters.
     """
     n = p * m + q * (m - 1)
     degree = 2 * m - 1 if p == q == 1 else sum(n - i // q for i in range(n))
@@ -70,9 +70,9 @@ def determined(p: int, q: int, m: int) -> list[tuple[int, ...]]:
 
 
 def check_grid(effort: Effort, drop: bool = False) -> Evidence:
-    """Find by how much the rank of the grid's monomials falls short of their number, exactly, modulo a prime.
+    """Find exactly, modulo a prime, the shortfall of the rank of the grid's monomials from their number.
 
-    ``effort`` is not used: nothing is drawn. ``drop``: leave the last point of each grid out.
+    ``effort`` is not used, since nothing is random. ``drop``: leave the last point of each grid out.
     """
     prime, short = 2_147_483_629, 0
     for p, q, m in SIZES:

@@ -1,4 +1,4 @@
-"""A loss that varies with k: what Theorem 2 needs of it, and what happens where it fades."""
+"""A loss that varies with k: the requirement of Theorem 2 on it, and a counterexample with a vanishing loss."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rhl.paper.claims.estimation import Estimates, draw_model, estimate, traject
 
 _claim = partial(Claim, page="notebooks/11-theorem-2.ipynb", test="tests/paper/claims/test_varying_loss.py")
 
-# The estimator's answers are certified to this, relative to theta; the errors are of the size of theta.
+# The estimates are certified to this, relative to theta; the errors have the size of theta.
 _SOLVED = 1e-7
 
 
 def frozen_error(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
-    r"""Enclose the one-step error that is left for :math:`c(e,k) = \rho^k e^2` on x = 1, u = 0, from A = 0.
+    r"""Enclose the limit of the one-step error for :math:`c(e,k) = \rho^k e^2` on x = 1, u = 0, from A = 0.
 
     With :math:`D = |\theta-\tilde\theta|^2` step k divides the error by :math:`1 + \rho^k`. ``ratio`` is rho in (0, 1].
-    Returns the product over k = 1, ..., ``steps``, times one less the sum of the later rho^k, and the product itself.
+    Returns the product over k = 1, ..., ``steps``, times one minus the sum of the later rho^k, and the product itself.
     """
     high = Fraction(1)
     for k in range(1, steps + 1):
@@ -33,15 +33,15 @@ def frozen_error(ratio: Fraction, steps: int) -> tuple[Fraction, Fraction]:
 
 
 def constant_signal(loss: Varying, steps: int) -> Estimates:
-    """Run the library's estimator on x = 1, u = 0, where A = 1 is true, from A = B = 0, with a window of one."""
+    """Run the library's estimator on x = 1, u = 0, where the truth is A = 1, from A = B = 0, with a window of one."""
     nothing = SignalModel(np.zeros((1, 1)), np.zeros((1, 1)))
     return estimate(np.ones((steps + 1, 1)), np.zeros((steps, 1)), nothing, 1, np.zeros(steps), loss=loss)
 
 
 def check_fading(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
-    """Enclose the error that is left, compare it with 0.419, and see the library's estimator come to it.
+    """Enclose the limit of the error, compare it with 0.419, and check that the library's estimator attains it.
 
-    No evidence where the enclosure is too wide to tell.
+    No evidence if the enclosure is too wide to decide.
     """
     steps, wanted = 60, Fraction(419, 1000)
     low, high = frozen_error(ratio, steps)
@@ -54,8 +54,8 @@ def check_fading(effort: Effort, ratio: Fraction = Fraction(1, 2)) -> Evidence:
 def check_kept_up(effort: Effort, ratio: float = 1.0) -> Evidence:
     """Check the sum of the squared residuals for squares whose weights vary, but stay above one half.
 
-    Weights are drawn at every step, one for each residual; the data are random ones with mixing, and x = 1, u = 0,
-    which stays for ever. ``ratio``: by which all weights fall with every step; the bound stays that for one half.
+    Weights are drawn at every step, one for each residual; the data are random ones with mixing, and constant
+    x = 1, u = 0. ``ratio``: factor on all weights at every step; the bound remains that for one half.
     """
     rng, found = effort.rng("theorem-2.ii.varying"), []
     for case in range(max(4, effort.cases // 5)):
@@ -78,7 +78,7 @@ def check_kept_up(effort: Effort, ratio: float = 1.0) -> Evidence:
 def check_losses(effort: Effort, noise: float = 0.0) -> Evidence:
     """Check the sums of c and D for losses other than squares, and that no distance to the truth grows.
 
-    ``noise``: added to the data, which then obey no signal model.
+    ``noise``: added to the data, which then satisfy no signal model.
     """
     rng, found = effort.rng("theorem-2.i.weak.losses"), []
     for case in range(max(4, effort.cases // 10)):
@@ -91,7 +91,7 @@ def check_losses(effort: Effort, noise: float = 0.0) -> Evidence:
         total = sum(float(loss.value(record.residuals(k, record.best[k - 1]).ravel())) for k in ks)
         total += float(np.sum(record.moves() ** 2))
         found += [(1 - 0.9) * total / distances[0] - 1, float(np.max(np.diff(distances))) / distances[0]]
-    return Evidence(len(found), worst_of([0.0, *found]), _SOLVED, "answers certified to 1e-7")
+    return Evidence(len(found), worst_of([0.0, *found]), _SOLVED, "estimates certified to 1e-7")
 
 
 CLAIMS: tuple[Claim, ...] = (
@@ -99,8 +99,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.i.losses",
         "Theorem 2(i)",
         "xxx",
-        "The same for every loss that does not vary: with a convex c, least at zero, the sums of c(e*(k)) - c(0) and "
-        "of D(theta*(k), theta~(k-1)) are together at most D(theta, theta~(0))/(1 - lambda_max).",
+        "The same for every loss that does not vary: with a convex c, whose minimum is at zero, the sums of c(e*(k)) "
+        "- c(0) and of D(theta*(k), theta~(k-1)) are together at most D(theta, theta~(0))/(1 - lambda_max).",
         "numerical sampling",
         "holds",
         stated=check_losses,
@@ -112,8 +112,8 @@ CLAIMS: tuple[Claim, ...] = (
         "theorem-2.ii.fading",
         "Theorem 2(ii)",
         "xxx",
-        "A loss may meet Assumption 6 at every k and yet break (8): for c(e,k) = 2^-k e^2 on x = 1, u = 0, with A = 1 "
-        "true and A = 0 at the start, the one-step error falls to 0.4194 and stays there.",
+        "A loss may satisfy Assumption 6 at every k and yet violate (8): for c(e,k) = 2^-k e^2 on x = 1, u = 0, with "
+        "the truth A = 1 and the start A = 0, the one-step error decreases to 0.4194 and stays there.",
         "exact arithmetic",
         "holds",
         stated=check_fading,
@@ -129,7 +129,7 @@ CLAIMS: tuple[Claim, ...] = (
         "numerical sampling",
         "holds",
         stated=check_kept_up,
-        control=Control("weights that fall by half with every step", partial(check_kept_up, ratio=0.5)),
+        control=Control("weights halved at every step", partial(check_kept_up, ratio=0.5)),
         uses=("theorem-2.i.losses",),
         proof="notebooks/11-theorem-2.ipynb#proof-varying",
     ),

@@ -13,13 +13,13 @@ from rhl.paper.claims.estimator_setup import ROUNDING, WHY, claim
 
 
 def window_gap(record: Estimates, k: int, equation: int, printed: bool, limit: SignalModel | None = None) -> float:
-    """Return by how much (47), (48), (49), (50) or (51) fails at k, as printed or corrected.
+    """Return the violation of (47), (48), (49), (50) or (51) at k, as printed or corrected.
 
     ``k``: at least the window. ``equation`` is 47 to 51.
     ``printed``: (47) with the residuals of theta*(k), the others with the error index l+1 instead of l+2.
-    Corrected, (47) has e = e*(k) + lambda_k R(k) (theta*(k) - theta~(k-1)), made without theta~(k).
-    ``limit``: what stands for the limit's A^, B^ in (49) to (51), and for (A, B) on the right of (51); the identities
-    hold for every model. (51) wants the truth.
+    Corrected, (47) has e = e*(k) + lambda_k R(k) (theta*(k) - theta~(k-1)), computed without theta~(k).
+    ``limit``: the A^, B^ of (49) to (51), and the (A, B) on the right of (51). The identities hold for every model;
+    (51) needs the truth.
     """
     model, window = record.models[k], record.window
     x, u = record.data(k)
@@ -47,10 +47,10 @@ def window_gap(record: Estimates, k: int, equation: int, printed: bool, limit: S
 
 
 def residual_excess(record: Estimates, truth: SignalModel, lambda_max: float) -> float:
-    r"""Return by how much what (47)'s residuals are made of exceeds its bound, relative to that.
+    r"""Return the relative excess of the terms of (47)'s residuals over their bound.
 
     They are :math:`e^*(k) + \lambda_k R(k)(\theta^*(k) - \tilde\theta(k-1))`. The squares of residuals e* and steps sum
-    to at most :math:`|\theta-\tilde\theta(0)|^2/(1-\lambda_{max})`, so that for bounded R(k) both terms tend to zero.
+    to at most :math:`|\theta-\tilde\theta(0)|^2/(1-\lambda_{max})`, so both terms tend to zero for bounded R(k).
     """
     first = record.window - 1
     total = float(np.sum(record.moves()[first:] ** 2) + np.sum(record.misfits()[first:] ** 2))
@@ -91,9 +91,9 @@ CLAIMS: tuple[Claim, ...] = (
         stated=partial(check_window, equation=47, printed=True),
         control=Control("the formula as printed", partial(check_window, equation=47, printed=True)),
         corrected=partial(check_window, equation=47),
-        reason="The residuals are printed as those of theta*(k), while A(k), B(k) are those of theta~(k): right only "
-        "without mixing. Meant is e*(k) + lambda_k R(k) (theta*(k) - theta~(k-1)); for bounded signals the sum of its "
-        "squares is finite.",
+        reason="The residuals are printed as those of theta*(k), while A(k), B(k) are those of theta~(k), which is "
+        "right only without mixing. The correct ones are e*(k) + lambda_k R(k) (theta*(k) - theta~(k-1)); for bounded "
+        "signals the sum of its squares is finite.",
         uses=("theorem-2.i.weak",),
         proof="notebooks/11-theorem-2.ipynb#proof-window",
     ),
@@ -145,7 +145,7 @@ CLAIMS: tuple[Claim, ...] = (
         "eq-51",
         "Equation 51",
         "",
-        "Both the limit's powers plus e_j and the powers of (A, B) reproduce x(j+k), along the inputs applied.",
+        "Both the limit's powers plus e_j and the powers of (A, B) reproduce x(j+k), along the applied inputs.",
         "numerical sampling",
         "holds-corrected",
         stated=partial(check_window, equation=51, printed=True),

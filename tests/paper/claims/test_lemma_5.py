@@ -119,7 +119,7 @@ def test_spoiled_mixtures_are_not_controllable_by_rank():
 
 @pytest.mark.parametrize("given_", [[Fraction(1, 2)], [Fraction(1, 2)] * 2, [Fraction(1, 2), Fraction(1)]])
 def test_candidates_that_cannot_be_spoiled_so(given_):
-    with pytest.raises(ValueError, match="2 candidates are wanted, all different, none of them 0 or 1"):
+    with pytest.raises(ValueError, match="2 candidates are required, all different, none of them 0 or 1"):
         spoiling.spoiling_pairs(2, given_)
 
 

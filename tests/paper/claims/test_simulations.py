@@ -25,7 +25,7 @@ def test_exact_matrices_are_those_of_the_example(monkeypatch):
         assert np.array_equal(np.array(exact, dtype=float), M)
     other = replace(linear_example(), plant=LinearPlant(plant.F + 1e-3, plant.G, plant.H))
     monkeypatch.setattr(published, "linear_example", lambda: other)
-    with pytest.raises(ValueError, match="no hundredths"):
+    with pytest.raises(ValueError, match="must be hundredths"):
         simulations.linear_matrices()
 
 
