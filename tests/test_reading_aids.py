@@ -18,8 +18,8 @@ FORMULAS = """() => [...document.querySelectorAll("div.math")].filter((part) => 
   number: part.querySelector("[data-number]")?.dataset.number ?? "",
 }))"""
 CUT = """() => [...document.querySelectorAll("article table")]
-  .filter((table) => table.getClientRects().length && !table.matches(".overview"))
-  .filter((table) => table.scrollWidth > table.clientWidth + 1)
+  .filter((table) => table.getClientRects().length && table.scrollWidth > table.clientWidth + 1)
+  .filter((table) => !(table.tBodies[0].rows.length > 12 && table.dataset.scrolls))
   .map((table) => table.textContent.slice(0, 60))"""
 
 

@@ -116,7 +116,7 @@ def trail(
     links = [("Statement", to(page, stated[0]))] if stated else [("Page", to(page))]
     if proof:
         links.append(("Proof", f"#{proof}"))
-    links.append((f"Checks ({len(claims)})", to("book/ledger", section_id(main.page))))
+    links.append((f"Checks ({sum(map(bool, map(module_of, claims)))})", to("book/ledger", section_id(main.page))))
     if module := module_of(main):
         links.append(("Code", to(f"_modules/{module.replace('.', '/')}")))
     links.append(("Tests", to("book/checks", test_id(main))))

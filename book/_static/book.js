@@ -4,7 +4,7 @@
 
 (() => {
   // Parts that scroll sideways take the keyboard's focus, but only while they are wider than the page.
-  const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display]";
+  const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display], .chain-picture";
   const mark = (part) => {
     const scrolls = part.scrollWidth > part.clientWidth && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
     if (scrolls && part.tabIndex !== 0) {
@@ -17,14 +17,16 @@
     }
   };
 
-  // A table that is wider than a phone becomes a card for each row, whose cells say what they are.
+  // A table that is wider than a phone becomes a card for each row, whose cells say what they are. A long one scrolls,
+  // since its rows are there to be compared.
+  const LONG = 12;
   const narrow = matchMedia("(max-width: 36rem)");
   const lay = (table) => {
     if (table.closest(".stacked, .rhl-explore") || table.matches(".stacked, .overview")) return;
     table.classList.remove("cards");
     if (!narrow.matches || table.scrollWidth <= table.clientWidth) return;
     const heads = [...table.querySelectorAll("thead tr:last-child th")].map((head) => head.textContent.trim());
-    if (!heads.length) return;
+    if (!heads.length || table.tBodies[0].rows.length > LONG) return;
     for (const row of table.querySelectorAll("tbody tr")) {
       [...row.cells].forEach((cell, i) => (cell.dataset.head = heads[i] ?? ""));
     }

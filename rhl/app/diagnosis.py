@@ -154,6 +154,8 @@ def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array) -> Iterator[Finding]
     says = f"without control, the outputs grow {largest:.3g} times in the {steps} steps that learning takes"
     if largest > _PREDICTED:
         says += f"; {LESS_PEAK}, or sample faster"
+    else:
+        says += "; most peaks are within a factor of three of this"
     yield Finding("Peak to expect", "suspect" if largest > _PREDICTED else "note", says)
 
 

@@ -249,9 +249,12 @@ def _curve(points: Sequence[tuple[float, float]]) -> str:
     return path
 
 
-def legend() -> str:
-    """Return the legend of the colours."""
-    entries = "".join(f'<li class="{standing}">{words}</li>' for standing, words in STANDINGS.items())
+def legend(nodes: Sequence[Node]) -> str:
+    """Return the legend of the colours that occur."""
+    used = {node.standing for node in nodes}
+    entries = "".join(
+        f'<li class="{standing}">{words}</li>' for standing, words in STANDINGS.items() if standing in used
+    )
     return f'<ul class="chain-legend">{entries}</ul>'
 
 

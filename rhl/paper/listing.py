@@ -122,7 +122,8 @@ def _card(judgement: Judgement) -> str:
     evidence.append(" · ".join(f'<a href="{target}">{text}</a>' for target, text in links))
     item = "" if claim.item == "text" else f" {html.escape(claim.item)}"
     return (
-        f'<section class="claim" id="{claim.id}" data-status="{judgement.status}">'
+        f'<section class="claim" id="{claim.id}" data-status="{judgement.status}" '
+        f'data-words="{html.escape(claim.statement)}">'
         f"<p><b><code>{claim.id}</code>{item}</b> {badge(judgement.status)}</p>"
         + "".join(f"<p>{words}</p>" for words in (readable(claim.statement), *says))
         + f"<details><summary>Evidence and links</summary>{''.join(f'<p>{words}</p>' for words in evidence)}</details>"

@@ -83,7 +83,7 @@ def settings(name: Name) -> tuple[tuple[Setting, ...], ...]:
             (_initial(0, "initial angle (rad)", "x₁(0)", range(9), 5),),
         )
     if name == "printed":
-        return (_mixing(0.0, "as printed"),), (_horizon((*range(1, 16), 20, 30, 40), 15),)
+        return (_mixing(0.0, "no mixing"),), (_horizon((*range(1, 16), 20, 30, 40), 15),)
     raise InputError(f"name must be one of {', '.join(NAMES)}, got {name!r}")
 
 

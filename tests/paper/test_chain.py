@@ -242,7 +242,8 @@ def test_picture_and_table_say_the_same():
     for node in nodes:
         used = [link["href"] for link in by_id[node.claim.id].select("td:last-child a")]
         assert used == [f"#row-{id}" for id in node.uses]
-    assert set(re.findall(r'class="(\w+)"', legend())) == set(chain.STANDINGS)
+    assert set(re.findall(r'class="(\w+)"', legend(nodes))) == {node.standing for node in nodes}
+    assert legend([]) == '<ul class="chain-legend"></ul>'
 
 
 @pytest.mark.parametrize(

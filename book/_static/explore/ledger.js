@@ -5,7 +5,7 @@
   const root = document.querySelector(".rhl-filter");
   if (!root) return;
   const cards = [...document.querySelectorAll(".claims .claim")];
-  const texts = new Map(cards.map((card) => [card, card.textContent.toLowerCase()]));
+  const texts = new Map(cards.map((card) => [card, `${card.textContent} ${card.dataset.words}`.toLowerCase()]));
   const results = [...document.querySelectorAll("section[id^='result-']")];
   const statuses = [...new Set(cards.map((card) => card.dataset.status))];
 

@@ -185,6 +185,9 @@
 
     // A click on a chart brings the focus here. Space plays and arrows step wherever it is, but where the browser gives them a meaning of their own.
     host.tabIndex = -1;
+    panels.tabIndex = 0;
+    panels.setAttribute("role", "group");
+    panels.setAttribute("aria-label", "Charts of the run. Space plays and pauses, the arrow keys step.");
     host.addEventListener("keydown", (event) => {
       if (event.altKey || event.ctrlKey || event.metaKey) return;
       const kind = event.target.localName;

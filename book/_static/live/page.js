@@ -193,10 +193,13 @@
       if (!steps.length) return `${ended}.`;
       const sizes = steps.map(({ y }) => Math.max(...y.map(Math.abs)));
       const peak = Math.max(...sizes);
+      const pushed = push();
+      const late = pushed.size && pushed.k >= steps.length;
       const margins = steps.map(({ augmented }) => augmented).filter(Number.isFinite);
       const least = margins.length ? `; the augmented pair's smallest margin is ${short(Math.min(...margins))}` : "";
       return `${took} The output is at most ${short(peak)} in size, at k = ${sizes.indexOf(peak)}, and ` +
         `${short(sizes.at(-1))} at the end${least}.` +
+        (late ? ` The disturbance at k = ${pushed.k} comes after the last step.` : "") +
         (ended ? ` Then ${ended}.` : "");
     }
 
@@ -230,8 +233,9 @@
     function signals(name) {
       const { steps } = shown;
       const k = steps.map((_, i) => i);
-      const several = steps[0][name].length > 1;
-      return steps[0][name].map((_, i) => ({
+      const first = steps[0]?.[name] ?? []; // a run can fail before its first step
+      const several = first.length > 1;
+      return first.map((_, i) => ({
         x: k,
         y: steps.map((step) => step[name][i]),
         kind: "steps",
