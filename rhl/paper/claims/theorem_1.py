@@ -183,9 +183,7 @@ def check_changing(
     )
     if not all(holds):
         return Evidence(0, np.nan, why="a hypothesis does not hold on this run")
-    return Evidence(
-        effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes"
-    )
+    return Evidence(effort.cases, float(np.max(size[-1] / np.max(size, axis=0))), _SETTLED, "the rest of slow modes")
 
 
 def check_pace(effort: Effort, epsilon: Callable[[int], float] = lambda k: 1 / (1 + 10 * k)) -> Evidence:
