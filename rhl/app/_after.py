@@ -74,7 +74,8 @@ def _hint(trace: Trace, z: Array, end: int) -> str:
     """Return what to change if a run did not converge."""
     units, late = trace.scheme.units, slice(-end, None)
     if units is None:
-        return f"{'it grew' if np.max(z[late]) > np.max(z[:end]) else 'not converged yet'}: {_CHOSEN}, or run on"
+        found = "it grew" if np.max(z[late]) > np.max(z[:end]) else "not converged yet"
+        return f"{found}: {_CHOSEN}, or run more steps"
     if np.mean(_limited(trace)[late]) > 0.5:
         return "the input is at its limit at the end: widen v_min and v_max, or begin from a [rough] model"
     if np.any(units.noise):

@@ -90,8 +90,8 @@ def test_a_sound_plant_and_scheme():
         (
             FunctionPlant(lambda z, v: [z[0] + 1.0 + v[0], 0.0], lambda z: z[:1], n=2, q=1),
             "Plant",
-            "it cannot be linearised at zero: z = 0 with v = 0 must be an equilibrium, where a step leaves z unchanged, "
-            "got a step that moves z by 1; solve step(z, v) = z for one first",
+            "it cannot be linearised at zero: z = 0 with v = 0 must be an equilibrium, where a step leaves z "
+            "unchanged, got a step that moves z by 1; solve step(z, v) = z for one first",
         ),
     ],
     ids=["unstabilizable", "undetectable", "too-short", "no-equilibrium"],

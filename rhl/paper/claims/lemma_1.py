@@ -428,7 +428,7 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("a state with a smaller input gain", lambda effort: check_implication(effort, 1e-5)),
         instance=Control("a state with an input gain of at least a hundredth", partial(check_implication, least=1e-2)),
         reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
-        "V3 with respect to r grow like 1/delta. If it bounds the plans along the loop, (b) does imply (a) "
+        "V3 with respect to r grow like 1/delta. As a bound on the plans along the loop, (b) does imply (a) "
         "(assumption-5.implies-met), but then Lemma 2 fails (lemma-2.met). This book reads (a) as a bound on the gain "
         "matrices, which holds if and only if inf s+ > 0 (assumption-5.s-plus).",
     ),

@@ -45,7 +45,7 @@ def test_exact_models_reproduce_their_data():
     assert all((after - phi * sp.Matrix.hstack(A, B).T).is_zero_matrix for A, B in models)
     assert len({tuple(A) + tuple(B) for A, B in models}) > 1
     after[0, 0] += 1  # x(k+1) and x(k+2) now disagree, but three more transitions leave no room
-    with pytest.raises(ValueError, match="obey no signal model"):
+    with pytest.raises(ValueError, match="satisfy no signal model"):
         exact_models(rng, phi, after, 1)
 
 
