@@ -113,7 +113,8 @@ def test_the_ledger_can_be_filtered_and_opens_the_claim_that_is_asked_for(chromi
         page.locator("#ledger-word").fill("spiral")
         assert 0 < shown.count() < 30
         assert f"{shown.count()} of {len(CLAIMS)} claims" in page.locator(".rhl-filter [role=status]").inner_text()
-        assert not page.locator("#result-lemma-3").is_visible()
+        assert page.locator("#theorem-1-claims h2, #lemma-4-claims h2").first.is_visible()
+        assert not page.locator("#lemma-3-claims h2").is_visible()
         page.locator("#ledger-word").fill("")
         page.locator("#ledger-status").select_option("fails: counterexample")
         assert set(shown.evaluate_all("all => all.map((one) => one.dataset.status)")) == {"fails: counterexample"}

@@ -43,6 +43,21 @@ def title_of(page: str) -> str:
     return found[1].strip()
 
 
+def left_out() -> set[str]:
+    """The pages that the configuration keeps out of the EPUB."""
+    config = yaml.safe_load((ROOT / "_config.yml").read_text(encoding="utf-8"))
+    return {name.removesuffix(".xhtml") for name in config["sphinx"]["config"]["epub_exclude_files"]}
+
+
+def kept(toc: dict, without: set[str]) -> dict:
+    """The contents of the book without some pages."""
+    parts = [
+        part | {"chapters": [chapter for chapter in part["chapters"] if chapter["file"] not in without]}
+        for part in toc["parts"]
+    ]
+    return toc | {"parts": parts}
+
+
 def contents(toc: dict, titles: dict[str, str]) -> str:
     """The contents as XHTML: the parts of the book and their pages, in order."""
 
@@ -89,10 +104,15 @@ def bind(pages: Path, toc: dict, about: dict, target: Path, when: datetime.datet
     """Put the pages that the contents name, and what they show, into one file."""
     names = [toc["root"], *(chapter["file"] for part in toc["parts"] for chapter in part["chapters"])]
     texts = {name: (pages / f"{name}.xhtml").read_text(encoding="utf-8") for name in names}
+    # One of the style sheets of the pages imports another.
+    used = {name for text in texts.values() for name in re.findall(r"[\w.-]+\.css", text)} | {"basic.css"}
     shown = sorted(
         path.relative_to(pages).as_posix()
         for path in pages.rglob("*")
-        if path.suffix in TYPES and path.suffix != ".xhtml" and path.parent.name in ("_images", "_static")
+        if path.suffix in TYPES
+        and path.suffix != ".xhtml"
+        and path.parent.name in ("_images", "_static")
+        and (path.suffix != ".css" or path.name in used)
     )
     files = {"nav.xhtml": "nav"} | {
         f"{name}.xhtml": " ".join(kind for kind, mark in (("mathml", "<math"), ("svg", "<svg")) if mark in text)
@@ -123,9 +143,9 @@ def main(target: Path) -> int:
         print("there is no book yet: type 'make book' first", file=sys.stderr)
         return 1
     shutil.rmtree(WORK, ignore_errors=True)
-    for kept in (".doctrees", ".jupyter_cache", "jupyter_execute"):
-        if (BUILT / kept).exists():
-            shutil.copytree(BUILT / kept, WORK / "_build" / kept)
+    for part in (".doctrees", ".jupyter_cache", "jupyter_execute"):
+        if (BUILT / part).exists():
+            shutil.copytree(BUILT / part, WORK / "_build" / part)
     options = ["--builder", "custom", "--custom-builder", "epub", "-W", "--keep-going"]
     command = ["jupyter-book", "build", ".", "--path-output", str(WORK), *options]
     done = subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -133,7 +153,7 @@ def main(target: Path) -> int:
         print(done.stdout, file=sys.stderr)
         return 1
     about = yaml.load((ROOT / "CITATION.cff").read_text(encoding="utf-8"), Loader=yaml.BaseLoader)
-    toc = yaml.safe_load((ROOT / "_toc.yml").read_text(encoding="utf-8"))
+    toc = kept(yaml.safe_load((ROOT / "_toc.yml").read_text(encoding="utf-8")), left_out())
     seconds = os.environ.get("SOURCE_DATE_EPOCH") or (BUILT / "html/index.html").stat().st_mtime
     when = datetime.datetime.fromtimestamp(float(seconds), datetime.UTC)
     bind(WORK / "_build/epub", toc, about, target, when)

@@ -58,8 +58,9 @@ def prepare(app: Sphinx, page: str, template: str, context: dict[str, Any], doct
     """Make every page of the EPUB so, and load no other style sheets than the EPUB's."""
     if app.builder.name != "epub":
         return
+    left_out = {name.removesuffix(".xhtml") for name in app.config.epub_exclude_files}
     if "body" in context:
-        context["body"] = well_formed(context["body"], page, app.env.found_docs)
+        context["body"] = well_formed(context["body"], page, app.env.found_docs - left_out)
     own = ("epub.css", "pygments.css", "book-epub.css")
     context["css_files"] = [file for file in context["css_files"] if str(file.filename).rpartition("/")[2] in own]
     context["script_files"] = []

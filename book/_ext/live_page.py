@@ -38,7 +38,9 @@ def description(engine: Path, more: int) -> dict[str, Any]:
     version = note.read_text(encoding="utf-8") if note.is_file() else ""
     loaded = sum(path.stat().st_size for path in engine.glob("*") if path != note) + more if version else 0
     plants = [{"name": of.name, "title": of.title, "fields": dict(of.fields)} for of in playground.presets()]
-    return {"engine": version, "bytes": loaded, "presets": plants}
+    binary = engine / "pyodide.asm.wasm"
+    size = binary.stat().st_size if binary.is_file() else 0
+    return {"engine": version, "bytes": loaded, "binary": size, "presets": plants}
 
 
 def place(app: Sphinx) -> None:

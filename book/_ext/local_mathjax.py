@@ -61,6 +61,8 @@ def plain(tex: str, macros: Mapping[str, str]) -> tuple[str, str]:
     tex = _TAG.sub("", tex)
     tex = re.sub(rf"\\begin\{{(?:{_LINES})\}}", lambda _: r"\begin{array}{rlrlrl}", tex)
     tex = re.sub(rf"\\end\{{(?:{_LINES})\}}", lambda _: r"\end{array}", tex)
+    # The converter drops a last row that ends in an empty cell.
+    tex = re.sub(r"&\s*(?=\\\\|\\end\{)", "&{}", tex)
     # A power of a matrix would become one of its bracket.
     tex = re.sub(r"(\\begin\{([bpvBV]?matrix)\}.*?\\end\{\2\})(?=[\^_])", r"{\1}", tex, flags=re.DOTALL)
     return tex.strip(), ", ".join(numbers)
@@ -85,6 +87,9 @@ def mathml(tex: str, block: bool, macros: Mapping[str, str]) -> tuple[str, str]:
             raise ExtensionError(
                 f"a script of the MathML of a formula must have {parts} parts, found {len(script)}: {tex}"
             )
+    rows = len(re.findall(r"\\\\(?!\s*\\end)|\\begin\{(?:array|cases|[bpvBV]?matrix)\}", known))
+    if made.count("<mtr>") != rows:
+        raise ExtensionError(f"the MathML of a formula must have {rows} rows, found {made.count('<mtr>')}: {tex}")
     if left := re.findall(r"\\[A-Za-z]+|&", "".join(tree.itertext())):
         raise ExtensionError(f"a formula cannot be written as MathML for {', '.join(left)}: {tex}")
     return made, number

@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 
 TEXTS = "search-texts.js"
 # Elements of a page that are not prose.
-NOT_PROSE = "pre, script, style, table, svg, figure, button, summary, .headerlink, .take-away, .trail, .tex"
+NOT_PROSE = "pre, script, style, table, div.math, svg, figure, button, summary, .headerlink, .take-away, .trail, .tex"
 
 
 def prose(page: str) -> dict[str, str]:

@@ -4,7 +4,7 @@
 
 (() => {
   // Parts that scroll sideways take the keyboard's focus, but only while they are wider than the page.
-  const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display], .chain-picture";
+  const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display], span.math, .chain-picture";
   const mark = (part) => {
     const scrolls = part.scrollWidth > part.clientWidth && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
     if (scrolls && part.tabIndex !== 0) {

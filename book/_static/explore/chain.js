@@ -50,12 +50,12 @@
     root.querySelector(`.node[data-id="${CSS.escape(id)}"]`)?.scrollIntoView({ block: "nearest", inline: "center" });
   };
   const read = () => {
-    const asked = decodeURIComponent(location.hash).match(/^#of=(.+)$/)?.[1] ?? "";
+    const asked = location.hash.match(/^#of=(.+)$/)?.[1] ?? ""; // ids of claims need no decoding
     // A link from row to row must find its row.
     if (!asked && location.hash && !location.hash.startsWith("#row-")) return;
     select.value = [...select.options].some((option) => option.value === asked) ? asked : "";
     show();
-    if (location.hash.startsWith("#row-")) document.querySelector(location.hash.replaceAll(".", "\\."))?.scrollIntoView();
+    if (location.hash.startsWith("#row-")) document.getElementById(location.hash.slice(1))?.scrollIntoView();
   };
   select.addEventListener("change", () => {
     history.replaceState(null, "", select.value ? `#of=${select.value}` : location.pathname);

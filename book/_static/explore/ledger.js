@@ -6,7 +6,7 @@
   if (!root) return;
   const cards = [...document.querySelectorAll(".claims .claim")];
   const texts = new Map(cards.map((card) => [card, `${card.textContent} ${card.dataset.words}`.toLowerCase()]));
-  const results = [...document.querySelectorAll("section[id^='result-']")];
+  const results = [...document.querySelectorAll("article section:has(> * .claim)")].filter((one) => !one.querySelector("section[id$='-claims']"));
   const statuses = [...new Set(cards.map((card) => card.dataset.status))];
 
   const labelled = (id, words, control) => {
@@ -39,7 +39,7 @@
     counted.textContent = `${left} of ${cards.length} claims are shown below.`;
   };
   const reach = () => {
-    const card = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    const card = document.getElementById(location.hash.slice(1)); // ids of claims need no decoding
     if (!card?.classList.contains("claim")) return;
     if (card.hidden) {
       word.value = select.value = "";

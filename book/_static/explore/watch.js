@@ -10,7 +10,7 @@
 
   function asked() {
     const [, run, k] = location.hash.match(/^#watch=([a-z]+)(?:&k=(\d+))?$/) ?? [];
-    return run in RUNS ? { run, k: k === undefined ? null : Number(k) } : null;
+    return Object.hasOwn(RUNS, run) ? { run, k: k === undefined ? null : Number(k) } : null;
   }
 
   /* "position (m)" and 0.01 as "position = 0.01 m", "output y" and 2 as "y = 2". */

@@ -20,6 +20,8 @@ loops.np = getattr(np, "loops", np)
 # More would keep a reader waiting; the library itself has no such bounds.
 MOST = {"m": 12, "window": 200, "N": 200, "steps": 500}
 MOST_SIGNALS = 30
+# Multiplications of the plans of a run; an interpreter takes about a minute for them.
+MOST_WORK = 4e7
 
 
 def number(text):
@@ -77,6 +79,13 @@ def prepare(settings):
         mixing=ConstantMixing(number(settings["lambda"])),
     )
     steps = integer("steps", number(settings["steps"]), 1)
+    size = scheme.lifting.augment(scheme.initial_model).n
+    work = steps * scheme.controller.horizon * size**2 * (size + plant.q)
+    if work > MOST_WORK:
+        raise InputError(
+            f"steps, N and m must be small enough for a run of about a minute on this page, got {work / MOST_WORK:.3g} "
+            "times as much; lower one of them"
+        )
     return plant, scheme, check_loop(scheme, plant, vector(settings["z0"]), True), steps
 
 

@@ -133,8 +133,8 @@
       toAddress(chosen);
       Object.values(inputs).forEach((input) => input.removeAttribute("aria-invalid"));
       asked += 1;
-      engine().postMessage({ start: chosen, mine: asked });
-      shown = { chosen, steps: [], going: true };
+      engine().postMessage({ start: chosen, mine: asked, binary: build.binary });
+      shown = { steps: [], going: true, read: { steps: 0, at: 0, size: [] } };
       busy(true);
       line.say(loaded ? "Running …" : `Loading the interpreter, ${megabytes(build.bytes)}, from this book's own folder …`);
     }
@@ -142,11 +142,15 @@
     function stop() {
       if (!shown?.going) return;
       asked += 1;
-      worker.postMessage({ stop: true, mine: asked });
+      if (loaded) worker.postMessage({ stop: true, mine: asked });
+      else {
+        worker.terminate(); // what loads cannot listen
+        worker = null;
+      }
       shown.going = false;
       busy(false);
       if (shown.steps.length) draw();
-      line.say(`Stopped after ${shown.steps.length} of ${shown.chosen.steps} steps.`);
+      line.say(`Stopped after ${shown.steps.length} of ${shown.read.steps || "all"} steps.`);
     }
 
     function hear(data) {
@@ -157,10 +161,15 @@
         return;
       }
       if (data.mine !== asked) return;
+      if (data.read) {
+        shown.read = data.read;
+        line.say("Running …");
+        return;
+      }
       if (data.steps) {
         shown.steps.push(...data.steps);
         if (!still) draw();
-        Object.assign(progress, { max: Number(shown.chosen.steps), value: shown.steps.length });
+        Object.assign(progress, { max: shown.read.steps, value: shown.steps.length });
         return;
       }
       shown.going = false;
@@ -194,7 +203,7 @@
       const sizes = steps.map(({ y }) => Math.max(...y.map(Math.abs)));
       const peak = Math.max(...sizes);
       const pushed = push();
-      const late = pushed.size && pushed.k >= steps.length;
+      const late = pushed.size.some(Boolean) && pushed.k >= shown.read.steps;
       const margins = steps.map(({ augmented }) => augmented).filter(Number.isFinite);
       const least = margins.length ? `; the augmented pair's smallest margin is ${short(Math.min(...margins))}` : "";
       return `${took} The output is at most ${short(peak)} in size, at k = ${sizes.indexOf(peak)}, and ` +
@@ -221,13 +230,11 @@
       margin: make("controllability margin", true),
     };
 
-    const push = () => dragged ?? {
-      k: Number(shown.chosen.push_step),
-      size: Number(shown.chosen.push_size.split(/[\s,]+/)[0]),
-    };
+    // As the driver has read it, or as it is being dragged.
+    const push = () => dragged ?? { k: shown.read.at, size: shown.read.size };
     const mark = () => {
       const { k, size } = push();
-      return size && k <= across.to ? { x: k, text: `Δv = ${short(size)}, k = ${k}` } : null;
+      return size.some(Boolean) && k <= across.to ? { x: k, text: `Δv = ${size.map(short).join(", ")}, k = ${k}` } : null;
     };
 
     function signals(name) {
@@ -246,16 +253,16 @@
 
     function draw() {
       const { steps } = shown;
-      across.to = Math.max(Number(shown.chosen.steps) - 1, 1);
+      across.to = Math.max(shown.read.steps - 1, 1);
       const k = steps.map((_, i) => i);
       const curve = (key, label, colour = 1) =>
         ({ x: k, y: steps.map((step) => (Number.isFinite(step[key]) ? step[key] : null)), kind: "steps", colour, label });
       charts.y.draw(signals("y"), mark());
       const pushed = push();
       const at = steps[pushed.k];
-      const dot = pushed.size && at
-        ? [{ x: [pushed.k], y: [at.v[0] + pushed.size], kind: "dots", colour: 2, label: "what the plant gets" }] : [];
-      charts.v.draw([...signals("v"), ...dot], mark());
+      const dots = at ? pushed.size.flatMap((size, i) => (size
+        ? [{ x: [pushed.k], y: [at.v[i] + size], kind: "dots", colour: 2, label: "what the plant gets" }] : [])) : [];
+      charts.v.draw([...signals("v"), ...dots], mark());
       charts.weight.draw([curve("weight", "")]);
       charts.margin.draw([curve("augmented", "augmented pair"), curve("lifted", "lifted pair", 2)]);
       host.querySelector(".charts").hidden = false;
@@ -267,27 +274,35 @@
     function pull(event) {
       const { x, y } = charts.v.where(event);
       const k = Math.min(Math.round(x), shown.steps.length - 1);
-      dragged = { k, size: Number((y - shown.steps[k].v[0]).toPrecision(3)) };
+      const size = Number((y - shown.steps[k].v[0]).toPrecision(3));
+      dragged = { k, size: shown.steps[k].v.map((_, i) => (i ? 0 : size)) };
       draw();
     }
 
     function letDrag({ canvas }) {
+      let held = null; // where the pointer went down; a drag begins some pixels away from there
       canvas.classList.add("drag");
       canvas.addEventListener("pointerdown", (event) => {
-        if (!shown?.steps.length || shown.going || event.button) return;
+        // A finger scrolls the page.
+        if (!shown?.steps.length || shown.going || event.button || event.pointerType === "touch") return;
         event.preventDefault(); // no text is selected on the way
         canvas.setPointerCapture(event.pointerId);
-        pull(event);
+        held = event;
       });
-      canvas.addEventListener("pointermove", (event) => { if (dragged) pull(event); });
+      canvas.addEventListener("pointermove", (event) => {
+        if (held && (dragged || Math.hypot(event.clientX - held.clientX, event.clientY - held.clientY) > 4)) pull(event);
+      });
       canvas.addEventListener("pointerup", () => {
+        held = null;
         if (!dragged) return;
         inputs.push_step.value = String(dragged.k);
-        inputs.push_size.value = shown.steps[0].v.map((_, i) => (i ? 0 : dragged.size)).join(" ");
+        inputs.push_size.value = dragged.size.join(" ");
         dragged = null;
         start();
       });
       canvas.addEventListener("pointercancel", () => {
+        held = null;
+        if (!dragged) return;
         dragged = null;
         draw();
       });

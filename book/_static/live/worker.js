@@ -1,6 +1,6 @@
 /* The interpreter, beside the page's own thread: loads Pyodide and rhl's files once, then takes a run step by step.
 
-   It gets {start: settings} or {stop: true}. It answers {ready}, {steps}, {ended}, {refused}, {stopped} or {broken}. */
+   It gets {start: settings} or {stop: true}. It answers {ready}, {read}, {steps}, {ended}, {refused}, {stopped} or {broken}. */
 
 const HERE = new URL(".", import.meta.url);
 const SHARE = 60; // milliseconds of steps between two looks at what the page has sent
@@ -8,10 +8,27 @@ const SHARE = 60; // milliseconds of steps between two looks at what the page ha
 let asked = 0;
 let booted = null;
 
-async function boot() {
+const PATIENCE = 120; // seconds for the interpreter to start
+
+/* Pyodide never settles where this file is missing or cut short, so it is looked at first. */
+async function checkBinary(bytes) {
+  const name = "engine/pyodide.asm.wasm";
+  const answer = await fetch(new URL(name, HERE), { method: "HEAD" });
+  if (!answer.ok) throw new Error(`${name} could not be loaded`);
+  const length = answer.headers.get("Content-Encoding") ? null : answer.headers.get("Content-Length");
+  if (length !== null && Number(length) !== bytes) {
+    throw new Error(`${name} must have ${bytes} bytes, got ${length}`);
+  }
+}
+
+async function boot(binary) {
   const began = performance.now();
+  await checkBinary(binary);
   const { loadPyodide } = await import(new URL("engine/pyodide.mjs", HERE));
-  const python = await loadPyodide({ indexURL: new URL("engine/", HERE).href });
+  const late = new Promise((_, reject) => {
+    setTimeout(() => reject(new Error(`the interpreter did not start within ${PATIENCE} s`)), 1000 * PATIENCE);
+  });
+  const python = await Promise.race([loadPyodide({ indexURL: new URL("engine/", HERE).href }), late]);
   const library = await fetch(new URL("library.zip", HERE));
   if (!library.ok) throw new Error("library.zip could not be loaded");
   python.FS.writeFile("/library.zip", new Uint8Array(await library.arrayBuffer()));
@@ -28,8 +45,8 @@ const plain = (proxy) => {
   return found;
 };
 
-async function run(settings, mine) {
-  booted ??= boot().catch((error) => {
+async function run(settings, mine, binary) {
+  booted ??= boot(binary).catch((error) => {
     booted = null; // so that the next run tries again
     throw error;
   });
@@ -45,6 +62,9 @@ async function run(settings, mine) {
     postMessage({ refused: sentence, mine });
     return;
   }
+  const size = taken.size;
+  postMessage({ read: { steps: taken.steps, at: taken.at, size: size.toJs() }, mine });
+  size.destroy();
   for (let left = true, reason = ""; left; ) {
     const steps = [];
     const until = performance.now() + SHARE;
@@ -65,7 +85,7 @@ async function run(settings, mine) {
 onmessage = ({ data }) => {
   asked = data.mine;
   if (data.start) {
-    run(data.start, data.mine).catch((error) => {
+    run(data.start, data.mine, data.binary).catch((error) => {
       const lines = String(error.message ?? error).trim().split("\n");
       postMessage({ broken: lines.at(-1), mine: data.mine });
     });

@@ -176,7 +176,7 @@ def tangential_turns(steps: int, exponent: float = 0.75) -> tuple[Array, Array]:
 
     With unit vectors :math:`d_k`, :math:`d_k^\top x = \delta_k |x|`, one step for :math:`(d_k^\top x)^2` with
     :math:`D = |x-y|^2` multiplies the squared norm by :math:`1 - 3\delta_k^2/4` and rotates x by the angle with tangent
-     :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`. ``exponent`` is the e of delta_k = k^-e / 2, k = 1, 2, ...
+    :math:`\delta_k\sqrt{1-\delta_k^2}/(2-\delta_k^2)`. ``exponent`` is the e of delta_k = k^-e / 2, k = 1, 2, ...
     """
     delta = 0.5 * np.arange(1, steps + 1, dtype=np.float64) ** -exponent
     norm = np.exp(0.5 * np.cumsum(np.log1p(-0.75 * delta**2)))
