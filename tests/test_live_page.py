@@ -470,7 +470,7 @@ def test_runs_agree_in_the_browser(chromium, site, engine):
             told, signals = ran(page)
             assert told["ended"] == ""
             assert differences(signals, of_the_library(name)) == {}, name
-            assert len(page.locator(".rhl-live .charts svg").all()) == 4
+            assert page.locator(".rhl-live .charts figure:has(svg)").count() == 4
     assert found == []
 
 
@@ -533,7 +533,7 @@ def test_a_run_can_be_stopped_and_shared(chromium, site, engine):
         assert page.locator("#rhl-live-N").input_value() == "40"
         page.locator("#rhl-live-N").press("Enter")
         stop = page.get_by_role("button", name="Stop")
-        page.wait_for_function("document.querySelectorAll('.rhl-live .charts svg').length === 4")
+        page.wait_for_function("document.querySelectorAll('.rhl-live .charts figure:has(svg)').length === 4")
         stop.click()
         page.get_by_text("Stopped after").wait_for()
         assert stop.is_disabled()
@@ -662,3 +662,40 @@ def test_the_page_is_told_of_the_engine_only_where_there_is_one(tmp_path):
     told = live_page.description(tmp_path, 7)
     assert (told["engine"], told["bytes"]) == ("1.2", 11)
     assert [plant["name"] for plant in told["presets"]] == list(PRESETS)
+
+
+def test_work_of_minutes_is_refused():
+    said = driver.start(typed(m="12", N="200", steps="500"))[1]
+    assert said.startswith("steps, N and m must be small enough for a run of about a minute on this page, got ")
+    assert driver.start(typed(m="4", N="40", steps="60"))[1] == ""
+
+
+@pytest.mark.parametrize("fields", [{"z0": "1e308 0 0"}, {"steps": "٦٠"}, {"push_size": "−5", "push_step": "１０"}])
+def test_odd_entries_that_python_reads_leave_no_script_broken(chromium, site, engine, fields):
+    with seen.visit(chromium, site, PAGE, "light") as (page, found):
+        choose(page, "linear-example", fields)
+        told = page.locator("[data-live]").evaluate(SETTLE)
+        curves = page.locator(".rhl-live .charts figure").first.locator(".curve").count()
+        assert bool(curves) == (told["ended"] == "")
+    assert found == []
+
+
+def test_an_engine_cut_short_is_reported_and_the_next_run_works(chromium, site, engine):
+    with seen.visit(chromium, site, PAGE, "light") as (page, _):
+        page.context.route("**/pyodide.asm.wasm", lambda route: route.fulfill(body=b"\0asm", status=200))
+        page.get_by_role("button", name="Run", exact=True).click()
+        page.get_by_text("The run could not be made: engine/pyodide.asm.wasm must have").wait_for()
+        page.context.unroute("**/pyodide.asm.wasm")
+        told, _ = ran(page)
+        assert told["ended"] == ""
+
+
+def test_a_finger_scrolls_past_the_chart_and_a_click_changes_nothing(chromium, site, engine):
+    with seen.visit(chromium, site, f"{PAGE}#plant=scalar", "light") as (page, found):
+        ran(page)
+        canvas = page.locator(".rhl-live .canvas.drag")
+        assert canvas.evaluate("canvas => getComputedStyle(canvas).touchAction") == "auto"
+        before = page.locator("#rhl-live-push_size").input_value()
+        canvas.click()
+        assert page.locator("#rhl-live-push_size").input_value() == before
+    assert found == []
