@@ -140,6 +140,20 @@ def test_formulas_that_scroll_say_so_and_can_be_reached(phone, name):
     assert all(not formula["says"] for formula in formulas if formula["width"] < formula["room"] - 1)
 
 
+IN_SENTENCES = """() => [...document.querySelectorAll("article span.math")].filter((part) => part.clientWidth)
+  .map((part) => [part, part.querySelector("mjx-container > svg").getBoundingClientRect().width])
+  .filter(([part, width]) => width > part.clientWidth + 2)
+  .map(([part, width]) => [Math.round(width), part.scrollWidth, getComputedStyle(part).overflowX, part.tabIndex])"""
+
+
+def test_long_formulas_in_sentences_can_be_reached(phone):
+    wide = phone("notebooks/12-lemma-6.html").evaluate(IN_SENTENCES)
+    assert wide
+    for width, reached, overflow, focus in wide:
+        assert reached >= width - 2
+        assert (overflow, focus) == ("auto", 0)
+
+
 @pytest.mark.parametrize(
     "name",
     [
