@@ -7,11 +7,14 @@
   const WIDE = "div.math, .output.text_latex, .output.text_html, table, pre, mjx-container[display], span.math, .chain-picture";
   const mark = (part) => {
     const scrolls = part.scrollWidth > part.clientWidth && ["auto", "scroll"].includes(getComputedStyle(part).overflowX);
-    if (scrolls && !("scrolls" in part.dataset)) {
+    if (scrolls) {
       // What a reader would otherwise not see: that there is more, and the formula's number at its far end.
-      part.dataset.scrolls = `${part.querySelector("[data-number]")?.dataset.number ?? ""} scroll →`.trim();
-      if (part.tabIndex !== 0) part.dataset.reached = "";
-      part.tabIndex = 0;
+      part.dataset.scrolls ??= `${part.querySelector("[data-number]")?.dataset.number ?? ""} scroll →`.trim();
+      // The theme looks at its own parts too, and earlier than they are laid out.
+      if (part.tabIndex !== 0) {
+        part.tabIndex = 0;
+        part.dataset.reached = "";
+      }
     } else if (!scrolls && "scrolls" in part.dataset) {
       if ("reached" in part.dataset) part.removeAttribute("tabindex");
       delete part.dataset.reached;
