@@ -10,8 +10,8 @@
     if (scrolls) {
       // What a reader would otherwise not see: that there is more, and the formula's number at its far end.
       part.dataset.scrolls ??= `${part.querySelector("[data-number]")?.dataset.number ?? ""} scroll →`.trim();
-      // The theme looks at its own parts too, and earlier than they are laid out.
-      if (part.tabIndex !== 0) {
+      // The attribute: a browser may call a part that scrolls focusable by itself, and the theme may have set -1 too early.
+      if (part.getAttribute("tabindex") !== "0") {
         part.tabIndex = 0;
         part.dataset.reached = "";
       }
