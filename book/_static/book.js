@@ -15,10 +15,14 @@
         part.tabIndex = 0;
         part.dataset.reached = "";
       }
-    } else if (!scrolls && "scrolls" in part.dataset) {
-      if ("reached" in part.dataset) part.removeAttribute("tabindex");
-      delete part.dataset.reached;
-      delete part.dataset.scrolls;
+    } else if ("scrolls" in part.dataset) {
+      // Not at once: while the side bars move, a part may fit for some frames only.
+      setTimeout(() => {
+        if (part.scrollWidth > part.clientWidth) return;
+        if ("reached" in part.dataset) part.removeAttribute("tabindex");
+        delete part.dataset.reached;
+        delete part.dataset.scrolls;
+      }, 400);
     }
   };
 
