@@ -2,7 +2,7 @@
 
 import posixpath
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any
 
 from bs4 import BeautifulSoup
@@ -46,12 +46,8 @@ def well_formed(body: str, page: str, pages: Collection[str]) -> str:
             tag.unwrap()
     made = soup.decode(formatter="minimal")
     for name in CAPITALS:
-        made = re.sub(rf"(?<=\s){name.lower()}=|(?<=<){name.lower()}\b|(?<=</){name.lower()}\b", _capital(name), made)
+        made = re.sub(rf"(?<=\s){name.lower()}(?==)|(?<=<){name.lower()}\b|(?<=</){name.lower()}\b", name, made)
     return made
-
-
-def _capital(name: str) -> Callable[[re.Match[str]], str]:
-    return lambda found: name + "=" * found[0].endswith("=")
 
 
 def prepare(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:

@@ -6,7 +6,7 @@
   if (!root) return;
   const cards = [...document.querySelectorAll(".claims .claim")];
   const texts = new Map(cards.map((card) => [card, `${card.textContent} ${card.dataset.words}`.toLowerCase()]));
-  const results = [...document.querySelectorAll("article section:has(> * .claim)")].filter((one) => !one.querySelector("section[id$='-claims']"));
+  const results = new Set(cards.map((card) => card.closest("section:not(.claim)")));
   const statuses = [...new Set(cards.map((card) => card.dataset.status))];
 
   const labelled = (id, words, control) => {
