@@ -12,13 +12,14 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, table_text, write_whole
-from rhl.closed_loop import ControllerState, Step, centre_of, proximal_centre, replay
+from rhl.closed_loop import proximal_centre, replay
 from rhl.controllability import controllability_margin, s_plus
 from rhl.errors import InputError
 from rhl.horizon import Plan
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
+from rhl.state import ControllerState, Step, centre_of
 from rhl.tracking import seen
 
 
@@ -121,9 +122,8 @@ class Trace:
             raise InputError(f"steps must be a tuple of Step, got {describe(given)}")
         if not given:
             raise InputError("a trace must have at least one step, got none")
-        y, v, computed = (
-            np.stack([getattr(done, name) for done in given]) for name in ("y", "v_applied", "v_computed")
-        )
+        signals = ("y", "v_applied", "v_computed")
+        y, v, computed = (np.stack([getattr(done, name) for done in given]) for name in signals)
         z = None if given[0].z is None else np.stack([done.z for done in given])
         return cls(scheme, y, v, z, computed, applied_known, Models.of_steps(given))
 
@@ -234,11 +234,9 @@ class Trace:
         x, u = self.lifted
         past = (self.scheme.lifting.inputs - 1) * self.scheme.q
         state = np.concatenate([x, u[..., :past]], axis=-1)
-        if self.scheme.controller.adaptive:
-            stages = self._models.stage
-        else:
+        stages = self._models.stage
+        if stages is None:
             stages = np.broadcast_to(self.k.reshape(-1, *[1] * (self.y.ndim - 2)), self.y.shape[:-1])
-        assert stages is not None
         units, size = self.scheme.units, self._size
         if units is not None and size is not None:
             used = self._pair(self._models.model)
@@ -310,11 +308,9 @@ class Trace:
     def _counted(self, k: int) -> Array | None:
         """Return the sizes of [x; u] at k, by which the estimator's weights scale them."""
         scheme, sizes = self.scheme, self._size
-        return (
-            None
-            if scheme.units is None or sizes is None
-            else scheme.units.parameters(scheme.lifting, sizes[k], scheme.q)
-        )
+        if scheme.units is None or sizes is None:
+            return None
+        return scheme.units.parameters(scheme.lifting, sizes[k], scheme.q)
 
     @cached_property
     def margin_lifted(self) -> Array:
