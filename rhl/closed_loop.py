@@ -25,7 +25,15 @@ from rhl.tracking import seen
 
 
 def start(scheme: Scheme) -> ControllerState:
-    """Return the state before k = 0: all signals zero, the initial model."""
+    """Return the state before k = 0: all signals zero, the initial model.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> state = start(default_scheme(p=1, q=1, order=2))
+    >>> state.k, state.y.shape, state.v.shape
+    (0, (4, 1), (4, 1))
+    """
     instance("scheme", scheme, Scheme)
     depth, model, estimator = scheme.depth, scheme.initial_model, scheme.estimator
     return ControllerState(
@@ -39,7 +47,16 @@ def start(scheme: Scheme) -> ControllerState:
 
 
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
-    """Return the memory of ``GrowingMemory`` at k; it stays empty while zeros from before k = 0 are lifted."""
+    """Return the memory of ``GrowingMemory`` at k; it stays empty while zeros from before k = 0 are lifted.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> scheme = default_scheme(1, 1, 2)
+    >>> state = start(scheme)
+    >>> remembered(scheme, state, np.ones((2, 2)), np.ones((1, 2))) is state.data
+    True
+    """
     estimator = scheme.estimator
     assert isinstance(estimator, GrowingMemory)
     assert state.data is not None
@@ -49,7 +66,15 @@ def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Ar
 
 
 def proximal_centre(scheme: Scheme, previous: SignalModel) -> SignalModel:
-    """Return the centre of the estimator's step: theta~(k-1), or the initial model if there is a family."""
+    """Return the centre of the estimator's step: theta~(k-1), or the initial model if there is a family.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> before = SignalModel([[0.5]], [[2.0]])
+    >>> proximal_centre(default_scheme(1, 1, 1), before) is before
+    True
+    """
     return previous if scheme.family is None else scheme.initial_model
 
 
@@ -68,6 +93,14 @@ def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data:
 
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme, from the measured y(k), shape (..., p), to v(k).
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> scheme = default_scheme(p=1, q=1, order=2)
+    >>> done = step(scheme, start(scheme), [0.5])
+    >>> done.k, done.v_computed.shape, advance(scheme, done).k
+    (0, (1,), 1)
 
     The state is from ``start`` or ``advance``. InputError if y has another size, or a user's function returns
     an invalid value.
@@ -170,6 +203,16 @@ def closed_loop(
 
     ``rhl.simulate`` is faster for many steps.
 
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> from rhl.plants import LinearPlant
+    >>> from rhl.scheme import default_scheme
+    >>> plant = LinearPlant(F=[[1.1, 1.0], [0.0, 0.9]], G=[[0.0], [1.0]], H=[[1.0, 0.0]])
+    >>> steps = islice(closed_loop(default_scheme(p=1, q=1, order=2), plant, [1.0, -1.0]), 40)
+    >>> [bool(abs(done.z[0]) < 1e-2) for done in steps][::39]
+    [False, True]
+
     Parameters
     ----------
     scheme : Scheme
@@ -196,7 +239,15 @@ def closed_loop(
 
 
 def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
-    """Check the parts of a loop; return z(0) with the batch axes of a linear plant."""
+    """Check the parts of a loop; return z(0) with the batch axes of a linear plant.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> plant = LinearPlant([[[1.1]], [[1.2]]], [[1.0]], [[1.0]])
+    >>> check_loop(default_scheme(1, 1, 1), plant, [1.0], True).shape
+    (2, 1)
+    """
     instance("scheme", scheme, Scheme)
     check_plant(plant)
     if not isinstance(applied_known, bool):

@@ -21,8 +21,8 @@ from rhl.plants.base import Plant
 from rhl.plants.linear import LinearPlant
 from rhl.schedules import epsilons
 from rhl.scheme import Scheme
-from rhl.state import ControllerState, Step
-from rhl.trace import Models, Trace
+from rhl.state import ControllerState, Models, Step
+from rhl.trace import Trace
 
 Record = Literal["signals", "models"]
 

@@ -1,7 +1,8 @@
-"""What the scheme keeps from one step to the next, and the record of a step."""
+"""What the scheme keeps from one step to the next, the record of a step, and the estimates of many."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
@@ -23,7 +24,7 @@ _CHANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ControllerState:
-    """The state of the scheme between two steps.
+    """The state of the scheme between two steps, made by ``start`` and ``advance``.
 
     Attributes
     ----------
@@ -41,6 +42,15 @@ class ControllerState:
         The largest absolute value of each output, or of its distance from a set point, before k, with running units.
     data : array, shape (..., n + N_v q, 2 n + N_v q), or None
         The memory of ``GrowingMemory`` before k.
+
+    Examples
+    --------
+    >>> from rhl.closed_loop import advance, start, step
+    >>> from rhl.scheme import window_scheme
+    >>> scheme = window_scheme(p=1, q=1, order=2)
+    >>> state = advance(scheme, step(scheme, start(scheme), [0.5]), [0.25])
+    >>> state.k, state.y[0], state.v[0]
+    (1, array([0.5]), array([0.25]))
     """
 
     k: int
@@ -59,7 +69,7 @@ class ControllerState:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Everything that happened at one k.
+    """Everything that happened at one k, made by ``step``.
 
     Attributes
     ----------
@@ -85,6 +95,15 @@ class Step:
         The plant's state z(k), if there is a plant.
     size, data : array or None
         Those of ``ControllerState`` with y(k) and the transition to k.
+
+    Examples
+    --------
+    >>> from rhl.closed_loop import start, step
+    >>> from rhl.scheme import window_scheme
+    >>> scheme = window_scheme(p=1, q=1, order=2)
+    >>> done = step(scheme, start(scheme), [0.5])
+    >>> done.plan.u.shape, bool(done.plan.u[0] == done.v_computed)
+    ((30, 1), True)
     """
 
     scheme: Scheme
@@ -157,6 +176,41 @@ class Step:
         return solve(self.problem, self._augmented_state)
 
 
+@dataclass(frozen=True, eq=False)
+class Models:
+    """The estimates of a run: theta = [A B] with n rows, before and after mixing.
+
+    Attributes
+    ----------
+    estimate, model : array, shape (steps, ..., n, n + q)
+        theta*(k) and theta~(k).
+    lam : array, shape (steps, ...)
+        lambda_k.
+    stage : array of int, shape (steps, ...), or None
+        The stages j(k) of an adaptive terminal weight.
+
+    Examples
+    --------
+    >>> from rhl.paper.published import linear_example
+    >>> linear_example().run().models.model.shape  # [A B] has 4 rows and 8 columns
+    (42, 4, 8)
+    """
+
+    estimate: Array
+    model: Array
+    lam: Array
+    stage: np.ndarray | None = None
+
+    @classmethod
+    def of_steps(cls, steps: Iterable[Step]) -> Models:
+        """Collect the estimates of steps."""
+        steps = tuple(steps)
+        both = [[np.concatenate([of.A, of.B], axis=-1) for of in (done.estimate, done.model)] for done in steps]
+        stage = np.stack([done.stage for done in steps]) if steps[0].scheme.controller.adaptive else None
+        estimate, model = np.stack(both, axis=1)
+        return cls(estimate, model, np.stack([done.lam for done in steps]), stage)
+
+
 def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64) -> None:
     for name in names:
         if getattr(record, name) is not None:
@@ -170,6 +224,16 @@ def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, 
 
     The latter applies if an output is nonzero for the first time and had no size before, or if its size was small by
     chance while the memory was empty. ``before`` and ``size``, shape (..., p), are the sizes before k and at k.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> scheme = default_scheme(p=1, q=1, order=1)
+    >>> model = SignalModel([[0.5]], [[2.0]])
+    >>> centre_of(scheme, 5, model, np.array([3.0]), np.array([4.0])) is model
+    True
+    >>> centre_of(scheme, 5, model, np.array([0.0]), np.array([4.0])).B  # an input moves the output by its size
+    array([[40.]])
     """
     units = scheme.units
     if units is None or size is None or not units.model_in_sizes:
@@ -186,7 +250,14 @@ def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, 
 
 
 def sizes_of(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | None) -> tuple[Array, Array] | None:
-    """Return ``RunningUnits.weights`` for the used model and the sizes at k, None without running units."""
+    """Return ``RunningUnits.weights`` for the used model and the sizes at k, None without running units.
+
+    Examples
+    --------
+    >>> from rhl.scheme import window_scheme
+    >>> sizes_of(window_scheme(1, 1, 1), SignalModel([[0.5]], [[2.0]]), None, None) is None
+    True
+    """
     units, lifting, q = scheme.units, scheme.lifting, scheme.q
     if units is None:
         return None

@@ -19,37 +19,8 @@ from rhl.horizon import Plan
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
-from rhl.state import ControllerState, Step, centre_of
+from rhl.state import ControllerState, Models, Step, centre_of
 from rhl.tracking import seen
-
-
-@dataclass(frozen=True, eq=False)
-class Models:
-    """The estimates of a run: theta = [A B] with n rows, before and after mixing.
-
-    Attributes
-    ----------
-    estimate, model : array, shape (steps, ..., n, n + q)
-        theta*(k) and theta~(k).
-    lam : array, shape (steps, ...)
-        lambda_k.
-    stage : array of int, shape (steps, ...), or None
-        The stages j(k) of an adaptive terminal weight.
-    """
-
-    estimate: Array
-    model: Array
-    lam: Array
-    stage: np.ndarray | None = None
-
-    @classmethod
-    def of_steps(cls, steps: Iterable[Step]) -> Models:
-        """Collect the estimates of steps."""
-        steps = tuple(steps)
-        both = [[np.concatenate([of.A, of.B], axis=-1) for of in (done.estimate, done.model)] for done in steps]
-        stage = np.stack([done.stage for done in steps]) if steps[0].scheme.controller.adaptive else None
-        estimate, model = np.stack(both, axis=1)
-        return cls(estimate, model, np.stack([done.lam for done in steps]), stage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -395,5 +366,16 @@ class Trace:
         return dict(zip(names, values, strict=True))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
+        """Write ``columns`` with 17 significant digits; the file appears whole or not at all.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> from rhl.paper.published import linear_example
+        >>> with TemporaryDirectory() as folder:
+        ...     linear_example().run().to_csv(f"{folder}/run.csv")
+        ...     print(Path(folder, "run.csv").read_text().splitlines()[0])
+        k,y1,v1,yhat1,z1,z2,z3,weight,lambda
+        """
         write_whole(path, table_text(self.columns()))
