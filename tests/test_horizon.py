@@ -81,24 +81,13 @@ def published_problems():
 RUNS = {"fed-back": replay_published(), "free": linear_example().run()}
 
 
-def published_answer(done):
-    problem = done.plan.problem
-    return oracle.riccati(
-        problem.model.A,
-        problem.model.B,
-        problem.Q,
-        problem.R,
-        problem.QN,
-        problem.weight,
-        problem.horizon,
-        done.plan.x[0],
-    )
-
-
 @pytest.fixture(scope="module")
 def published_answers():
     """u_0 in extended precision, for every step of both runs."""
-    return {name: [published_answer(done) for done in run.steps] for name, run in RUNS.items()}
+    return {
+        name: [oracle.first_input(done.plan.problem, done.plan.x[0]) for done in run.steps]
+        for name, run in RUNS.items()
+    }
 
 
 def worst(name, answers, method):

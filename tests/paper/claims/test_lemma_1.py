@@ -97,13 +97,3 @@ def test_out_of_reach_is_refused():
     maps = PredictorMaps(np.stack([np.eye(2)] * 3), np.array([[[1.0], [0.0]]] * 2))
     with pytest.raises(InfeasibleError, match="no input sequence of 2 steps"):
         solve(V3(maps, 1.0, 1.0, [0.0, 1.0], 2), [0.0, 0.0])
-
-
-def test_bound_is_met_with_equal_weights():
-    """With Q = R = I the feasible gain is the optimal one, and the bound leaves out nothing but xi_N's rows."""
-    maps = lemma_1.random_maps(np.random.default_rng(2), 2, 1, 3)
-    gain, bound = lemma_1.gain_and_bound(maps, np.eye(2), np.eye(1))
-    _, C, B = lemma_1.stacked_form(maps, np.eye(2), np.eye(1))
-    assert bound == pytest.approx(np.linalg.norm(np.linalg.pinv(C) @ B, 2))
-    assert gain == pytest.approx(np.linalg.norm((np.linalg.pinv(C) @ B)[:-2], 2))
-    assert gain < bound

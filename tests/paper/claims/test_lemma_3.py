@@ -68,7 +68,3 @@ def test_a_larger_gamma_makes_it_smaller(seed, factor):
     once, rounding = lemma_3.ratio(*case, 1.0, 1.0)
     more, _ = lemma_3.ratio(*case, 1.0, factor)
     assert more <= once + 10 * rounding
-
-
-def test_sharpness_stays_below_a_quarter():
-    assert 0.05 < lemma_3.sharpness(Effort(0, 10)) < 0.25

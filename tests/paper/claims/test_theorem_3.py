@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rhl.controller import Controller
 from rhl.estimator import ProximalEstimator
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
 from rhl.paper.claims import theorem_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import LinearPlant
-from rhl.scheme import Controller
 from rhl.simulation import simulate
 
 
