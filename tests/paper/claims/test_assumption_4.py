@@ -14,6 +14,7 @@ from rhl.paper.claims import assumption_4, predictors
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.rotating_models import PLANE, consistent_model, rotation
 from rhl.problems import V3
+from tests.sizes import SEEDS
 
 small = st.integers(-3, 3)
 
@@ -22,7 +23,7 @@ def exact(M):
     return np.array([[Fraction(int(entry)) for entry in row] for row in M])
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", assumption_4.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

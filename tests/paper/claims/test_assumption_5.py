@@ -6,9 +6,10 @@ import pytest
 from rhl.model import PredictorMaps
 from rhl.paper.claims import assumption_5, lemma_1
 from rhl.paper.claims.claim import Effort, judge
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", assumption_5.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

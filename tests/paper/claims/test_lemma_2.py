@@ -7,9 +7,10 @@ from rhl.paper.claims import lemma_2
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import at_the_end, follow, square
 from rhl.paper.claims.rotating_models import losing, turning
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_2.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

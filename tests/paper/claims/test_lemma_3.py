@@ -10,11 +10,12 @@ from rhl.model import PredictorMaps
 from rhl.paper.claims import lemma_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.problems import V2
+from tests.sizes import SEEDS
 
 ROUNDING = 1e-9
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_3.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

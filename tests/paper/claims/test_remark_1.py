@@ -11,9 +11,10 @@ from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import follow
 from rhl.paper.claims.rotating_models import turning
 from rhl.problems import V1
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", remark_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -13,9 +13,10 @@ from rhl.paper.claims import theorem_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import LinearPlant
 from rhl.simulation import simulate
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_3.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))
