@@ -201,6 +201,10 @@ def _parser() -> argparse.ArgumentParser:
     amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a quick check")
     verify.set_defaults(command=_verify, plot=None, flag="--json")
 
+    for command in (run, check):
+        command.add_argument(
+            "--allow-python", action="store_true", help="execute the Python file that the configuration names"
+        )
     for command in (reproduce, run):
         command.add_argument(
             "--plot", type=file_name, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
@@ -236,7 +240,7 @@ def _run(options: argparse.Namespace) -> int:
     from rhl._files import header
     from rhl.app.config import load
 
-    experiment = load(options.config).experiment()
+    experiment = load(options.config).experiment(allow_python=options.allow_python)
     _check_targets(options)
     trace, status, why = _watched(experiment)
     rows, output = len(trace or ()), options.output
@@ -297,7 +301,7 @@ def _check(options: argparse.Namespace) -> int:
     from rhl.app.config import load
     from rhl.app.diagnosis import diagnose, diagnose_run
 
-    experiment = load(options.config).experiment()
+    experiment = load(options.config).experiment(allow_python=options.allow_python)
     errs = {"sensor": experiment.sensor, "actuator": experiment.actuator, "load": experiment.load}
     found = diagnose(experiment.plant, experiment.scheme, z0=experiment.z0, **errs)
     _tell(found, f"{experiment.name}: before a run")
