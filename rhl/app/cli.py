@@ -28,6 +28,7 @@ from rhl.app._streams import (
     printable,
     progress,
     target_name,
+    undisturbed,
     words_of,
 )
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
@@ -196,7 +197,11 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("--seed", type=int, default=0, help="the seed of the random cases (default: 0)")
     amount = verify.add_mutually_exclusive_group()
     amount.add_argument(
-        "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
+        "--cases",
+        type=_cases,
+        default=100,
+        metavar="N",
+        help="random cases for each check that draws any, 10 to 100000 (default: 100)",
     )
     amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a quick check")
     verify.set_defaults(command=_verify, plot=None, flag="--json")
@@ -212,6 +217,13 @@ def _parser() -> argparse.ArgumentParser:
     for command in (reproduce, run, new, compare, schema, verify):
         command.add_argument("--force", action="store_true", help="write over files that exist")
     return parser
+
+
+def _cases(text: str) -> int:
+    # With fewer cases a negative control may pass by chance.
+    if not (text.isdecimal() and len(text) < 10 and 10 <= int(text) <= 100_000):
+        raise argparse.ArgumentTypeError(f"must be an integer from 10 to 100000, got {text!r}")
+    return int(text)
 
 
 def _reproduce(options: argparse.Namespace) -> int:
@@ -281,6 +293,7 @@ def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         except MemoryError as error:
             why = f"{_TOO_LARGE}, got {reason(error)}"
         except KeyboardInterrupt:
+            undisturbed()
             return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
     return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
 
@@ -299,24 +312,24 @@ def _heavy(experiment: Experiment, error: DivergedError) -> str:
 
 def _check(options: argparse.Namespace) -> int:
     from rhl.app.config import load
-    from rhl.app.diagnosis import diagnose, diagnose_run
+    from rhl.app.diagnosis import Diagnosis, diagnose, diagnose_run
 
     experiment = load(options.config).experiment(allow_python=options.allow_python)
     errs = {"sensor": experiment.sensor, "actuator": experiment.actuator, "load": experiment.load}
     found = diagnose(experiment.plant, experiment.scheme, z0=experiment.z0, **errs)
     _tell(found, f"{experiment.name}: before a run")
-    if not options.run:
-        return OK if found.sound else MISSED
-    trace, status, why = _watched(experiment)
-    sound = found.sound
-    if trace:
-        after = diagnose_run(trace)
-        _tell(after, f"{experiment.name}: after {len(trace)} steps")
-        sound = sound and after.sound
+    status, why = OK, ""
+    if options.run:
+        trace, status, why = _watched(experiment)
+        if trace:
+            after = diagnose_run(trace)
+            _tell(after, f"{experiment.name}: after {len(trace)} steps")
+            found = Diagnosis((*found.findings, *after.findings))
+    print("\n".join(found.legend()))
     if why:
         complain(why)
         return status
-    return OK if sound else MISSED
+    return OK if found.sound else MISSED
 
 
 def _tell(diagnosis: Diagnosis, title: str) -> None:
@@ -373,9 +386,14 @@ def _verify(options: argparse.Namespace) -> int:
     effort, claims = Effort(options.seed, options.cases), ledger.select(options.ids)
     _check_targets(options)
     if options.list:
-        for claim in claims:
-            print(f"{claim.id:28} {claim.statement}")
+        if options.output:
+            deliver(options.output, json.dumps(ledger.listed(claims), indent=1) + "\n", options.force)
+        if options.output is not STDOUT:
+            for claim in claims:
+                print(f"{claim.id:28} {claim.statement}")
         return OK
+    for package in ("sympy", "flint"):  # a missing package is reported before any claim is checked
+        __import__(package)
     done = verified(options, claims, effort)
     if len(done) < len(claims):
         return INTERRUPTED
