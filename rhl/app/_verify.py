@@ -40,9 +40,7 @@ def verified(options: argparse.Namespace, claims: Sequence[Claim], effort: Effor
     width = width_of(words, _WIDE)
     print_table(_table(done, title, width), _WIDE, words)
     if width < _WIDE:
-        print(
-            f"left out: what a claim says and what checks it; {_WIDE} columns show them, and so does --json", file=words
-        )
+        print(f"left out: what a claim says and how it is checked; {_WIDE} columns or --json show it", file=words)
     # Reasons that do not fit into a cell: why there is no evidence, and why there can be none.
     for row in done:
         if row.problem:
@@ -69,12 +67,13 @@ def _table(done: list[Judgement], title: str, width: int) -> Table:
         table.add_column("checked by", no_wrap=True)
     for heading in ("cases", "worst", "tolerance"):
         table.add_column(heading, no_wrap=True, justify="right")
-    table.add_column("status", no_wrap=wide)
-    table.add_column("control", no_wrap=wide)
+    table.add_column("status", no_wrap=wide, min_width=15)  # the longest of its words
+    table.add_column("control", no_wrap=wide, min_width=8)
     for row in done:
         found, claim = row.evidence, row.claim
         numbers = [str(found.cases), f"{found.worst:.2g}", f"{found.tolerance:.2g}"] if found else [""] * 3
         status = row.status if row.verdict == claim.recorded else f"{row.status}, NOT {claim.recorded}"
         cells = [claim.statement, claim.method, *numbers] if wide else numbers
-        table.add_row(claim.id, *cells, status, row.told_true_from_false)
+        control = row.told_true_from_false if wide else row.told_true_from_false.replace(", as it must", "")
+        table.add_row(claim.id, *cells, status, control)
     return table

@@ -60,8 +60,8 @@ class Config(Section):
 
     name = key("{}, the name of the run, without control characters", LINE)
     steps = key(
-        "{}, the number of rows k = 0 .. steps-1; a run that needs more than 2 GB for the estimates of all steps, for a "
-        "window or for a plan is refused",
+        "{}, the number of rows k = 0 .. steps-1; a run is refused if it needs more than 2 GB for the estimates of all "
+        "steps, for a window or for a plan",
         COUNT,
     )
     order = key(
