@@ -21,7 +21,7 @@ TERMS: dict[str, str] = {
     "N_y": "N_y, N_v: the numbers of outputs and inputs that x(k) and u(k) stack; m: the smaller of the two",
     "spectral radius": "spectral radius: the largest modulus of an eigenvalue of F",
     "observability index": "observability index: how many outputs in a row determine the state",
-    "augmented pair": "lifted pair: the model (A, B) of x(k), u(k); augmented pair: the same with past inputs as states",
+    "augmented pair": "lifted pair: the model of x(k) and u(k); augmented pair: the same with past inputs as states",
     "inf s+": "s+: the smallest nonzero singular value of the map from planned inputs to planned states",
     "V1": "V1: the problem that plans; its weight Gamma(x)/epsilon(k) draws the end of a plan to zero",
     "of its minimiser": "certificate: Newton's step from an estimate, relative to the model",
