@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,6 +30,7 @@ from rhl.app._streams import (
     progress,
     target_name,
     undisturbed,
+    width_of,
     words_of,
 )
 from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
 OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
 
+_CHECK = 140  # the width of the table of `rhl check`
 _TOO_LARGE = "the run must fit into memory"
 # Packages that some commands need, and the extra that brings them.
 _EXTRAS = {
@@ -325,7 +328,9 @@ def _check(options: argparse.Namespace) -> int:
             after = diagnose_run(trace)
             _tell(after, f"{experiment.name}: after {len(trace)} steps")
             found = Diagnosis((*found.findings, *after.findings))
-    print("\n".join(found.legend()))
+    width = width_of(sys.stdout, _CHECK)
+    for line in found.legend():
+        print(textwrap.fill(line, width, subsequent_indent="  "))
     if why:
         complain(why)
         return status
@@ -342,7 +347,7 @@ def _tell(diagnosis: Diagnosis, title: str) -> None:
     table.add_column("found")
     for finding in diagnosis.findings:
         table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
-    print_table(table, 140, sys.stdout)
+    print_table(table, _CHECK, sys.stdout)
 
 
 def _new(options: argparse.Namespace) -> int:
