@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, instance, numbers, real_array
+from rhl._checks import Array, common_batch, describe, instance, numbers, real_array
 from rhl.controllability import chosen
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
@@ -257,6 +257,7 @@ def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool)
         if found != wanted:
             raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
     z = np.broadcast_to(z, (*plant.batch(z), plant.n)) if isinstance(plant, LinearPlant) else z
+    z = np.broadcast_to(z, (*common_batch(z0=(z, 1), initial_model=(scheme.initial_model.A, 2)), plant.n))
     if z.size == 0:
         raise InputError(f"z0 must hold at least one member of the batch, got shape {z.shape}")
     return z

@@ -14,6 +14,8 @@ from rhl.model import SignalModel
 
 # The largest family: with more members a step of the search takes longer than most sampling times.
 _MOST = 50_000
+# The most numbers in all shifts together, 0.4 GB.
+_NUMBERS = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +77,22 @@ class ModelFamily:
             integer(name, value, 1)
         positive("size", size)
         of_y, of_v = p * outputs, q * inputs
+        # More variables than members are too many for any degree, and the sums below would take long.
+        if p * (of_y + of_v) > _MOST:
+            raise InputError(
+                f"the grid must have at most {_MOST} members, got {p * (of_y + of_v)} entries of a shift alone; give "
+                "your own shifts"
+            )
         variables, n = p * (of_y + of_v), of_y + q * (inputs - 1)
         degree = 2 * outputs - 1 if p == q == 1 and outputs == inputs else sum(n - i // q for i in range(n))
         count = comb(variables + degree, degree)
         if count > _MOST:
             raise InputError(
                 f"the grid must have at most {_MOST} members, got {count} for these sizes; give your own shifts"
+            )
+        if count * variables > _NUMBERS:
+            raise InputError(
+                f"the grid must have at most {_NUMBERS} numbers, got {count * variables}; give your own shifts"
             )
         return cls(size * np.reshape(_lower_set(variables, degree), (count, p, of_y + of_v)), hysteresis)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import os
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,8 @@ from rhl.scheme import Scheme
 from rhl.state import ControllerState
 
 _ARRAYS = ("y", "v", "stage", "value", "size", "data")
+# The largest saved state, in bytes, unpacked.
+_LARGEST = 500_000_000
 
 
 class LiveController:
@@ -83,28 +86,48 @@ class LiveController:
         """Write the state to a file (NumPy's .npz), which appears whole or not at all; the scheme is not in it."""
         state, buffer = self.state, io.BytesIO()
         kept = {name: getattr(state, name) for name in _ARRAYS if getattr(state, name) is not None}
-        np.savez(buffer, k=state.k, A=state.model.A, B=state.model.B, **kept)
+        np.savez(buffer, k=state.k, A=state.model.A, B=state.model.B, family=_family(self.scheme), **kept)
         write_whole(path, buffer.getvalue())
 
     @classmethod
     def restore(cls, scheme: Scheme, path: str | os.PathLike[str]) -> LiveController:
         """Continue from a file that ``save`` wrote, with the scheme that wrote it.
 
-        InputError if the file cannot be read, is not a saved state, or was saved with a scheme of other sizes. The next
-        inputs equal those of the saved run exactly.
+        InputError if the file cannot be read, is not a saved state, or was saved with a scheme of other sizes or with
+        another family. The next inputs equal those of the saved run exactly.
         """
         instance("scheme", scheme, Scheme)
         try:
             # Without pickle a file cannot run code.
-            with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as file:
+            content = io.BytesIO(Path(path).read_bytes())
+            # A compressed file of a few bytes may unpack to any size.
+            if sum(entry.file_size for entry in ZipFile(content).infolist()) > _LARGEST:
+                raise ValueError
+            with np.load(content, allow_pickle=False) as file:
                 found: dict[str, Any] = dict(file)
+            k, family = found["k"], found["family"]
+            if k.shape != () or k.dtype.kind not in "iu" or k < 0 or family.dtype.kind != "U" or family.shape != ():
+                raise ValueError
             model = SignalModel(found["A"], found["B"])
             arrays = {name: real_array(name, found[name]) for name in _ARRAYS if name in found}
-            state = ControllerState(int(found["k"]), model=model, **arrays)
+            state = ControllerState(int(k), model=model, **arrays)
         except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
             reason = getattr(error, "strerror", None) or "a file that LiveController.save did not write"
             raise InputError(f"{shown(path)} must be a saved state, got: {reason}") from error
+        if str(family) != _family(scheme):
+            raise InputError(
+                f"{shown(path)} must be saved with the scheme's family of initial models, got another; give the scheme "
+                "that was running then"
+            )
         return cls(scheme, state)
+
+
+def _family(scheme: Scheme) -> str:
+    """Return what distinguishes the family of a scheme from others: a saved model may be a member of it."""
+    family = scheme.family
+    if family is None:
+        return ""
+    return sha256(family.shifts.tobytes() + np.float64(family.hysteresis).tobytes()).hexdigest()
 
 
 def _vector(y: ArrayLike, p: int) -> Array:

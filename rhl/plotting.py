@@ -41,6 +41,8 @@ WIDTH = 4.2
 _LEAST_TYPE = 11 * 72 * WIDTH / 358
 # matplotlib's own arithmetic overflows beyond this.
 _DRAWABLE = 1e100
+# A logarithmic axis shows at most this range below its largest value.
+_DECADES = 1e-20
 
 
 def style(theme: ThemeName) -> dict[str, Any]:
@@ -157,6 +159,11 @@ def run(trace: Trace, title: str = "") -> Figure:
         ax.legend(ncols=3)
     for ax in axes[2:]:
         ax.set_yscale("log")
+        # A weight that goes to zero with the state would leave the axis to numbers that are zero to the eye.
+        drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
+        top = np.nanmax(drawn, initial=0.0)
+        if top > 0 and np.nanmin(drawn) < _DECADES * top:
+            ax.set_ylim(bottom=_DECADES * top)
     if title:
         # The title is plain text, not a formula, even if it contains a dollar sign.
         axes[0].set_title(title[:60].replace("$", r"\$"), fontsize=10, parse_math=False)

@@ -126,6 +126,7 @@ class Scheme:
         if self.family.shifts.shape[1:] != (self.p, n + q):
             raise InputError(
                 f"the family's shifts must have shape (count, {self.p}, {n + q}), got {self.family.shifts.shape}"
+                + ("" if self.set_point is None else "; with a set point a scheme stacks one output and input more")
             )
         shift = SignalModel.shift_of_ones(self.p, self.lifting.outputs, self.q, self.lifting.inputs)
         if self.lifting.basis is not None or not all(

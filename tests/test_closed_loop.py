@@ -491,3 +491,20 @@ def test_what_a_disturbance_raises_is_let_through():
     with pytest.raises(ZeroDivisionError) as caught:
         run_with(SCHEMES["plain"], actuator=lambda k, v: [1 / (2 - k)])
     assert any("actuator" in note for note in caught.value.__notes__)
+
+
+def test_a_batch_of_initial_models_runs_from_one_initial_state():
+    one = SCHEMES["plain"]
+    A, B = one.initial_model.A, one.initial_model.B
+    models = replace(one, initial_model=SignalModel(np.stack([A, 1.1 * A]), np.stack([B, B])))
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    steps = list(islice(closed_loop(models, plant, [1.0, -1.0]), 5))
+    for i in range(2):
+        alone = replace(one, initial_model=SignalModel(models.initial_model.A[i], models.initial_model.B[i]))
+        for both, single in zip(steps, closed_loop(alone, plant, [1.0, -1.0]), strict=False):
+            assert np.array_equal(both.v_applied[i], single.v_applied)
+    assert np.array_equal([done.v_applied for done in steps], simulate(models, plant, [1.0, -1.0], 5).v)
+    other = np.ones((3, 2))
+    for run in (lambda: closed_loop(models, plant, other), lambda: simulate(models, plant, other, 5)):
+        with pytest.raises(InputError, match=r"batch axes must broadcast together, got shapes z0 \(3, 2\), initial"):
+            run()

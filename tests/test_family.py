@@ -10,6 +10,7 @@ from rhl.controllability import ConstantMixing, controllability_margin
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.family import ModelFamily
+from rhl.lifting import DelayLifting
 from rhl.live import LiveController
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
@@ -17,6 +18,7 @@ from rhl.paper.claims.theorem_4 import family_scheme, silent_model
 from rhl.plants import LinearPlant
 from rhl.scheme import default_scheme
 from rhl.simulation import simulate
+from rhl.tracking import SetPoint
 
 UNSTABLE = LinearPlant(2 * np.eye(1), np.eye(1), np.eye(1))
 
@@ -187,3 +189,25 @@ def test_the_model_in_use_is_the_estimate_from_one_of_the_initial_models(initial
             alone = memory.minimise(SignalModel(A, B), data)
             ends.append(max(np.max(np.abs(alone.A - done.model.A)), np.max(np.abs(alone.B - done.model.B))))
         assert min(ends) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("sizes", "sentence"),
+    [
+        ((1, 10**12, 1, 10**12), "must have at most 50000 members, got 2000000000000 entries of a shift alone"),
+        ((1, 1, 40_000, 1), "must have at most 50000000 numbers, got 16"),
+        ((2, 3, 2, 3), "must have at most 50000 members, got "),
+    ],
+)
+def test_grids_that_would_fill_the_memory(sizes, sentence):
+    with pytest.raises(InputError, match=sentence):
+        ModelFamily.grid(*sizes)
+
+
+def test_a_family_with_a_set_point_says_how_many_signals_are_stacked():
+    scheme = family_scheme(1, 1, 2)
+    larger = SignalModel.shift_of_ones(1, 3, 1, 3)
+    for goal, told in ((SetPoint([1.0]), True), (None, False)):
+        with pytest.raises(InputError, match="shifts must have shape") as caught:
+            replace(scheme, lifting=DelayLifting(3, 3), initial_model=larger, set_point=goal)
+        assert ("with a set point a scheme stacks one output and input more" in str(caught.value)) is told

@@ -13,9 +13,12 @@ from rhl import (
     Saturation,
     SignalModel,
     default_scheme,
+    live,
     simulate,
     window_scheme,
 )
+from rhl.family import ModelFamily
+from rhl.paper.claims.theorem_4 import family_scheme
 from rhl.paper.published import linear_example
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
@@ -127,3 +130,48 @@ def test_bad_parts():
     state = ControllerState(0, np.zeros((2, 1)), np.zeros((2, 1)), SignalModel([[1.0]], [[1.0]]))
     with pytest.raises(InputError, match="whose y has shape"):
         LiveController(SCHEMES[0], state)
+
+
+@pytest.mark.parametrize("k", [2.7, -1, np.array([1]), "1"])
+def test_a_saved_step_is_an_integer(tmp_path, k):
+    scheme, path = default_scheme(1, 1, 2), tmp_path / "state.npz"
+    controller = LiveController(scheme)
+    controller.save(path)
+    with np.load(path) as file:
+        kept = dict(file)
+    np.savez(path, **(kept | {"k": k}))
+    with pytest.raises(InputError, match="must be a saved state, got: a file that"):
+        LiveController.restore(scheme, path)
+    np.savez(path, **kept)
+    assert LiveController.restore(scheme, path).state.k == 0
+
+
+def test_a_state_of_another_family_is_refused(tmp_path):
+    scheme, path = family_scheme(1, 1, 2), tmp_path / "state.npz"
+    controller = LiveController(scheme)
+    controller.step([1.0])
+    controller.save(path)
+    family = scheme.family
+    others = ModelFamily(2.0 * family.shifts, family.hysteresis), replace(family, hysteresis=0.5), None
+    for other in others:
+        with pytest.raises(InputError, match="must be saved with the scheme's family of initial models, got another"):
+            LiveController.restore(replace(scheme, family=other), path)
+    assert LiveController.restore(scheme, path).state.k == 1
+
+
+def test_a_small_file_that_unpacks_to_more_than_memory_is_refused(tmp_path, monkeypatch):
+    scheme, path = default_scheme(1, 1, 2), tmp_path / "state.npz"
+    controller = LiveController(scheme)
+    controller.save(path)
+    with np.load(path) as file:
+        kept = dict(file)
+    np.savez_compressed(path, **(kept | {"y": np.zeros(100_000)}))
+    monkeypatch.setattr(live, "_LARGEST", 700_000)
+    assert path.stat().st_size < 20_000
+    # np.load would read it; the control shows that the refusal is that of the unpacked size.
+    monkeypatch.setattr(np, "load", lambda *_, **__: pytest.fail("the file is unpacked"))
+    with pytest.raises(InputError, match="must be a saved state"):
+        LiveController.restore(scheme, path)
+    np.savez(path, **kept)
+    with pytest.raises(pytest.fail.Exception):
+        LiveController.restore(scheme, path)

@@ -8,6 +8,9 @@ from matplotlib.figure import Figure
 from rhl import plotting
 from rhl.errors import InputError
 from rhl.paper.published import linear_example
+from rhl.plants import LinearPlant
+from rhl.scheme import default_scheme
+from rhl.simulation import simulate
 
 ALT = "A line falls to zero and stays there."
 
@@ -105,3 +108,14 @@ def test_wide_figures_may_have_large_type():
         return figure
 
     assert plotting.show(draw, alt=ALT).alt == ALT
+
+
+def test_the_axis_of_a_weight_that_vanishes_ends_where_nothing_is_seen():
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    trace = simulate(default_scheme(1, 1, 2), plant, [1.0, -1.0], 100)
+    assert trace.weight[trace.weight > 0].min() < 1e-30 * trace.weight.max()
+    low, high = plotting.run(trace).axes[2].get_ylim()
+    assert 1e-21 * trace.weight.max() < low < high
+    short = simulate(default_scheme(1, 1, 2), plant, [1.0, -1.0], 5)
+    low, _ = plotting.run(short).axes[2].get_ylim()
+    assert low < short.weight[short.weight > 0].min()  # otherwise every value is shown

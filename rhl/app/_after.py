@@ -49,9 +49,7 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     verdict: Verdict = "met" if converged else "suspect"
     below = ", and read the suspect findings below" if suspect_below else ""
     reason = "" if converged else f"; {_hint(trace, z, end)}{below}"
-    yield Finding(
-        "Set point" if tracks else "State and input go to zero in this run (Theorem 3)", verdict, ends + reason
-    )
+    yield Finding("Set point" if tracks else "State and input go to zero in this run", verdict, ends + reason)
     yield _of_sizes(trace, v, input_name)
     yield from _of_peak(trace)
     yield from _of_bounds(trace)
@@ -212,6 +210,6 @@ def _misfit(trace: Trace) -> float | None:
     heavy = size[:, 0] > 1e-9 * size.max()
     if np.sum(heavy) < 2 * known.shape[1]:
         return None
-    known, next_ = (known / size)[heavy], (next_ / size)[heavy]
+    known, next_ = (rows[heavy] / size[heavy] for rows in (known, next_))
     residual = next_ - known @ np.linalg.lstsq(known, next_)[0]
     return float(np.linalg.norm(residual) / max(float(np.linalg.norm(next_)), 1e-300))

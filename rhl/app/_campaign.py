@@ -68,7 +68,7 @@ def _campaign(options: argparse.Namespace) -> int:
     from rhl.study.campaign import LostWorkersError, run
     from rhl.study.store import StoreError
 
-    for package in ("zarr", "xarray", "dask"):  # a missing package is reported before any file is created
+    for package in ("zarr", "xarray", "dask", "rich"):  # a missing package is reported before any file is created
         __import__(package)
     file, text, settings = load(options.config)
     campaign = file.campaign()

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from itertools import product
+from math import prod
 from typing import Any, Self
 
+from rhl.app import _limits
 from rhl.app._keys import (
     FLAG,
     LINE,
@@ -135,6 +137,10 @@ class SchemeSection(Section):
     window = _swept("{}, the number of transitions in a window, in multiples of the scheme's order", POSITIVE)
     units = key("{}: that the default scheme's weights count signals in running units", FLAG, default=None)
 
+    def count(self) -> int:
+        """Return the number of combinations."""
+        return prod(len(value) for value in self.given.values() if isinstance(value, list))
+
     def choices(self) -> list[Choice]:
         """Return the schemes, one for each combination of the lists' entries."""
         swept = [name for name, value in self.given.items() if isinstance(value, list)]
@@ -192,12 +198,14 @@ class CampaignFile(Section):
             plants = self.plants.plants(self.seed)
         except InputError as error:
             raise InputError(f"plants.{error}") from None
+        _limits.schemes([section.count() for section in self.schemes])
         choices: list[Choice] = []
         for i, section in enumerate(self.schemes):
             try:
                 choices += section.choices()
             except InputError as error:
                 raise InputError(f"schemes[{i + 1}].{error}") from None
+        _limits.campaign(plants, choices, self.steps, self.chunk)
         return Campaign(plants, tuple(choices), self.steps, self.noise, self.input_bound, self.chunk)
 
 

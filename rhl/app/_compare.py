@@ -9,7 +9,7 @@ from dataclasses import fields
 
 from rich.table import Table
 
-from rhl.app._streams import complain, deliver, print_table, progress, words_of
+from rhl.app._streams import complain, deliver, print_table, progress, undisturbed, words_of
 from rhl.errors import InputError
 from rhl.plants.benchmarks import benchmark, names
 from rhl.study.compare import METHODS, Score, Summary, compare, summaries
@@ -26,6 +26,9 @@ def compared(options: argparse.Namespace) -> bool:
     if options.plants and options.collection:
         raise InputError("--collection must be left out where plants are named, got both; name plants or a collection")
     plants = [benchmark(name) for name in options.plants or names(10, options.collection)]
+    for name, given, most in (("--steps", options.steps, 100_000), ("--seeds", options.seeds, 1_000)):
+        if given > most:
+            raise InputError(f"{name} must be an integer of at most {most}, got {given}")
     levels = options.noise or [0.0]
     cases = [(plant, noise) for noise in levels for plant in plants]
     done: list[tuple[str, tuple[Score, ...]]] = []
@@ -45,6 +48,7 @@ def compared(options: argparse.Namespace) -> bool:
                 done.append((plant.name, scores))
                 show(len(done))
         except KeyboardInterrupt:
+            undisturbed()
             complain(f"interrupted after {len(done)} of {len(cases)} plants")
     words = words_of(options)
     bounds = f"inputs at most {_BOUND:g} times the regulator's" if options.bounded else "no input bounds"

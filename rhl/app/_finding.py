@@ -8,6 +8,24 @@ from typing import Literal, get_args
 from rhl._checks import choice
 
 Verdict = Literal["met", "violated", "suspect", "outside", "note"]
+# Their meaning, for a reader.
+VERDICTS: dict[Verdict, str] = {
+    "met": "holds, in this run or for this plant and scheme",
+    "violated": "does not hold",
+    "suspect": "not decidable, but the numbers speak against it",
+    "outside": "not covered by the theory",
+    "note": "a number for information",
+}
+# Words of the paper in subjects and sentences, with their meaning.
+TERMS: dict[str, str] = {
+    "N_y": "N_y, N_v: the numbers of outputs and inputs that x(k) and u(k) stack; m: the smaller of the two",
+    "spectral radius": "spectral radius: the largest modulus of an eigenvalue of F",
+    "observability index": "observability index: how many outputs in a row determine the state",
+    "augmented pair": "lifted pair: the model of x(k) and u(k); augmented pair: the same with past inputs as states",
+    "inf s+": "s+: the smallest nonzero singular value of the map from planned inputs to planned states",
+    "V1": "V1: the problem that plans; its weight Gamma(x)/epsilon(k) draws the end of a plan to zero",
+    "of its minimiser": "certificate: Newton's step from an estimate, relative to the model",
+}
 
 
 @dataclass(frozen=True)
@@ -43,6 +61,13 @@ class Diagnosis:
     def sound(self) -> bool:
         """Whether nothing is violated or suspect."""
         return not any(finding.verdict in ("violated", "suspect") for finding in self.findings)
+
+    def legend(self) -> list[str]:
+        """Return the meaning of the verdicts and of the words that occur in the findings, one on each line."""
+        text = "\n".join(f"{finding.subject}\n{finding.says}" for finding in self.findings)
+        given = {finding.verdict for finding in self.findings}
+        verdicts = [f"{verdict}: {meaning}" for verdict, meaning in VERDICTS.items() if verdict in given]
+        return verdicts + [meaning for word, meaning in TERMS.items() if word in text]
 
     def __str__(self) -> str:
         return "\n".join(f"{finding.verdict:9} {finding.subject}: {finding.says}" for finding in self.findings)

@@ -121,12 +121,12 @@ class ExampleSection(Section):
 
 
 class PythonSection(Section):
-    """[plant] with kind = "python": two functions in the user's Python file, which is executed."""
+    """[plant] with kind = "python": two functions in the user's Python file, which is executed if that is allowed."""
 
     kind = key('"python"')
     file = key(
         "the path of a Python file, relative to the folder of this one, that defines step(z, v) and output(z); it is "
-        "executed",
+        "executed, which --allow-python must allow",
         TEXT,
     )
     n = key("{}, the size of the state", SIZE)

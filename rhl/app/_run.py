@@ -7,12 +7,13 @@ import sys
 from rhl._checks import reason
 from rhl.app._sections import too_heavy
 from rhl.app._status import INTERRUPTED, OK, STOPPED
-from rhl.app._streams import print_table, progress
+from rhl.app._streams import print_table, progress, undisturbed
 from rhl.app.diagnosis import Diagnosis
 from rhl.errors import DivergedError, LostControllabilityError, NotSolvedError
 from rhl.paper.published import Experiment
 from rhl.trace import Trace
 
+CHECK_WIDTH = 140  # of the table of `rhl check`
 TOO_LARGE = "the run must fit into memory"
 
 
@@ -35,6 +36,7 @@ def watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
         except MemoryError as error:
             why = f"{TOO_LARGE}, got {reason(error)}"
         except KeyboardInterrupt:
+            undisturbed()
             return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
     return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
 
@@ -60,4 +62,4 @@ def print_findings(diagnosis: Diagnosis, title: str) -> None:
     table.add_column("found")
     for finding in diagnosis.findings:
         table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
-    print_table(table, 140, sys.stdout)
+    print_table(table, CHECK_WIDTH, sys.stdout)

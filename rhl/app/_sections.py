@@ -50,8 +50,8 @@ class LiftingSection(Section):
     """[lifting]: equations (14) and (22)."""
 
     overrides = True
-    outputs = key("{}, N_y, how many outputs x(k) stacks", SIZE)
-    inputs = key("{}, N_v, how many inputs u(k) stacks", SIZE)
+    outputs = key("{}, N_y, how many outputs x(k) stacks, at most 1000 numbers", SIZE)
+    inputs = key("{}, N_v, how many inputs u(k) stacks, at most 1000 numbers", SIZE)
     degree = key(
         "{}; above 1, all monomials of the stacked outputs up to it are appended to x(k)", integer(1, 6), default=1
     )

@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 
@@ -74,7 +75,7 @@ def interruptible() -> Iterator[None]:
 
     handlers: dict[str, Any] = {"SIGTERM": signal.default_int_handler, "SIGHUP": hung_up}
     known = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
-    before = {number: signal.getsignal(number) for number in known}
+    before, ctrl_c = {number: signal.getsignal(number) for number in known}, signal.getsignal(signal.SIGINT)
     heard = [number for number in known if before[number] != signal.SIG_IGN]
     for number in heard:
         signal.signal(number, known[number])
@@ -83,12 +84,20 @@ def interruptible() -> Iterator[None]:
     finally:
         for number in heard:
             signal.signal(number, before[number])
+        if signal.getsignal(signal.SIGINT) != ctrl_c:  # `undisturbed` has changed it
+            signal.signal(signal.SIGINT, ctrl_c)
+
+
+def undisturbed() -> None:
+    """Ignore further Ctrl-C until ``interruptible`` ends: after the first one, results are printed and written."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     """Show the progress on standard error if it is a terminal."""
-    if not sys.stderr.isatty():
+    if not sys.stderr.isatty() or find_spec("rich") is None:  # a run needs no bar
         yield lambda done: None
         return
     from rich.console import Console

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from rhl.app._streams import (
     print_table,
     printable,
     target_name,
+    width_of,
     words_of,
 )
 from rhl.errors import AssumptionWarning, InputError
@@ -192,11 +194,19 @@ def _parser() -> argparse.ArgumentParser:
     verify.add_argument("--seed", type=int, default=0, help="the seed of the random cases (default: 0)")
     amount = verify.add_mutually_exclusive_group()
     amount.add_argument(
-        "--cases", type=int, default=100, help="random cases for each check that draws any (default: 100)"
+        "--cases",
+        type=_cases,
+        default=100,
+        metavar="N",
+        help="random cases for each check that draws any, 10 to 100000 (default: 100)",
     )
     amount.add_argument("--fast", action="store_const", dest="cases", const=10, help="10 cases, for a quick check")
     verify.set_defaults(command=_verify, plot=None, flag="--json")
 
+    for command in (run, check):
+        command.add_argument(
+            "--allow-python", action="store_true", help="execute the Python file that the configuration names"
+        )
     for command in (reproduce, run):
         command.add_argument(
             "--plot", type=file_name, metavar="FIGURE", help="draw the run to this .svg, .pdf or .png file"
@@ -204,6 +214,13 @@ def _parser() -> argparse.ArgumentParser:
     for command in (reproduce, run, new, compare, schema, verify):
         command.add_argument("--force", action="store_true", help="write over files that exist")
     return parser
+
+
+def _cases(text: str) -> int:
+    # With fewer cases a negative control may pass by chance.
+    if not (text.isdecimal() and len(text) < 10 and 10 <= int(text) <= 100_000):
+        raise argparse.ArgumentTypeError(f"must be an integer from 10 to 100000, got {text!r}")
+    return int(text)
 
 
 def _reproduce(options: argparse.Namespace) -> int:
@@ -233,7 +250,7 @@ def _run(options: argparse.Namespace) -> int:
     from rhl.app._run import watched
     from rhl.app.config import load
 
-    experiment = load(options.config).experiment()
+    experiment = load(options.config).experiment(allow_python=options.allow_python)
     _check_targets(options)
     trace, status, why = watched(experiment)
     rows, output = len(trace or ()), options.output
@@ -254,26 +271,28 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from rhl.app._run import print_findings, watched
+    from rhl.app._run import CHECK_WIDTH, print_findings, watched
     from rhl.app.config import load
-    from rhl.app.diagnosis import diagnose, diagnose_run
+    from rhl.app.diagnosis import Diagnosis, diagnose, diagnose_run
 
-    experiment = load(options.config).experiment()
+    experiment = load(options.config).experiment(allow_python=options.allow_python)
     errs = {"sensor": experiment.sensor, "actuator": experiment.actuator, "load": experiment.load}
     found = diagnose(experiment.plant, experiment.scheme, z0=experiment.z0, **errs)
     print_findings(found, f"{experiment.name}: before a run")
-    if not options.run:
-        return OK if found.sound else MISSED
-    trace, status, why = watched(experiment)
-    sound = found.sound
-    if trace:
-        after = diagnose_run(trace)
-        print_findings(after, f"{experiment.name}: after {len(trace)} steps")
-        sound = sound and after.sound
+    status, why = OK, ""
+    if options.run:
+        trace, status, why = watched(experiment)
+        if trace:
+            after = diagnose_run(trace)
+            print_findings(after, f"{experiment.name}: after {len(trace)} steps")
+            found = Diagnosis((*found.findings, *after.findings))
+    width = width_of(sys.stdout, CHECK_WIDTH)
+    for line in found.legend():
+        print(textwrap.fill(line, width, subsequent_indent="  "))
     if why:
         complain(why)
         return status
-    return OK if sound else MISSED
+    return OK if found.sound else MISSED
 
 
 def _new(options: argparse.Namespace) -> int:
@@ -317,9 +336,14 @@ def _verify(options: argparse.Namespace) -> int:
     effort, claims = Effort(options.seed, options.cases), ledger.select(options.ids)
     _check_targets(options)
     if options.list:
-        for claim in claims:
-            print(f"{claim.id:28} {claim.statement}")
+        if options.output:
+            deliver(options.output, json.dumps(ledger.listed(claims), indent=1) + "\n", options.force)
+        if options.output is not STDOUT:
+            for claim in claims:
+                print(f"{claim.id:28} {claim.statement}")
         return OK
+    for package in ("sympy", "flint"):  # a missing package is reported before any claim is checked
+        __import__(package)
     done = verified(options, claims, effort)
     if len(done) < len(claims):
         return INTERRUPTED

@@ -12,7 +12,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from rhl._checks import Array, describe, real_array
+from rhl._checks import Array, describe, real_array, shown
+from rhl.app import _limits
 from rhl.app._keys import (
     COUNT,
     LINE,
@@ -28,7 +29,7 @@ from rhl.app._keys import (
     read_toml,
     table_of,
 )
-from rhl.app._plants import PLANTS
+from rhl.app._plants import PLANTS, PythonSection
 from rhl.app._sections import (
     ControllerSection,
     EstimatorSection,
@@ -58,7 +59,11 @@ class Config(Section):
     """A whole file."""
 
     name = key("{}, the name of the run, without control characters", LINE)
-    steps = key("{}, the number of rows k = 0 .. steps-1", COUNT)
+    steps = key(
+        "{}, the number of rows k = 0 .. steps-1; a run is refused if it needs more than 2 GB for the estimates of all "
+        "steps, for a window or for a plan",
+        COUNT,
+    )
     order = key(
         "{}, an upper bound of the plant's observability index, from which the scheme is chosen, for signals of any "
         "size; each given key of [lifting], [estimator] and [controller] changes that setting only",
@@ -94,15 +99,25 @@ class Config(Section):
     rough = key("{}", table_of(RoughSection), default=None)
     simulation = key("{}", table_of(SimulationSection), default=None)
 
-    def experiment(self) -> Experiment:
-        """Build the experiment; InputError, which begins with the key, if sizes do not fit each other."""
+    def experiment(self, *, allow_python: bool = False) -> Experiment:
+        """Build the experiment; InputError, which begins with the key, if sizes do not fit each other.
+
+        ``allow_python``: whether a plant's Python file may be executed; otherwise such a plant is an InputError.
+        """
         with _under("plant"):
+            # A configuration may come from a stranger, so the file that it names is not even opened.
+            if isinstance(self.plant, PythonSection) and not allow_python:
+                raise InputError(
+                    f'kind must not be "python" unless --allow-python is given, got {shown(self.plant.file)}, which '
+                    "would be executed; read that file, then add --allow-python"
+                )
             plant, z0 = self._plant()
         simulation = self.simulation or SimulationSection({})
         with _under("simulation"):
             sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
             load = simulation.disturbance(plant.q)
         scheme = self._scheme(plant, actuator)
+        _limits.fits(scheme, self.steps)
         return Experiment(
             self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known, load=load
         )
@@ -117,9 +132,11 @@ class Config(Section):
         goal, size = self._sized("set_point", plant.p, "output"), self._sized("input_size", plant.q, "input")
         set_point, noise = None if goal is None else SetPoint(goal), self._sized("noise", plant.p, "output")
         chosen = None
+        lifting_, estimator_, controller_ = self._sections()
+        outputs, inputs = (lifting_.given.get(name, self.order) for name in ("outputs", "inputs"))
+        _limits.stacked("order or [lifting]", plant.p, plant.q, outputs, inputs)
         if self.order is not None:
             chosen = default_scheme(plant.p, plant.q, self.order, size, noise, bounds=actuator, set_point=set_point)
-        lifting_, estimator_, controller_ = self._sections()
         with _under("lifting"):
             lifting = lifting_.lifting(None if chosen is None else chosen.lifting)
             lifting.size(plant.p)

@@ -129,6 +129,9 @@ def standings(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> dict[s
     It "stands" if it is proved as printed from assumed or proved claims only. A corrected statement does not hold as
     printed; claims that use it use the corrected form, which does not weaken them if that form is proved.
     """
+    without = [claim.id for claim in claims if claim.id not in statuses]
+    if without:
+        raise InputError(f"statuses must have one for each claim, got none for {', '.join(without)}")
     found: dict[str, Standing] = {}
     sound: set[str] = set()
     for claim in in_order(claims):
@@ -158,7 +161,10 @@ def standings(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> dict[s
 
 
 def graph(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> list[Node]:
-    """Return the nodes, each after all that it uses. ``statuses``: those of all claims, by id."""
+    """Return the nodes, each after all that it uses. ``statuses``: those of all claims, by id.
+
+    InputError if a claim has no status, or as from ``in_order``.
+    """
     uses, left = folded(claims), standings(claims, statuses)
     layers: dict[str, int] = {}
     nodes = []
@@ -170,8 +176,14 @@ def graph(claims: Sequence[Claim], statuses: Mapping[str, Status]) -> list[Node]
 
 
 def ancestors(nodes: Iterable[Node], id: str) -> set[str]:
-    """Return the ids of all nodes that this one uses, directly or not, including itself."""
+    """Return the ids of all nodes that this one uses, directly or not, including itself.
+
+    InputError if a node is not there.
+    """
     uses = {node.claim.id: node.uses for node in nodes}
+    unknown = sorted(({id} | {used for of in uses.values() for used in of}) - set(uses))
+    if unknown:
+        raise InputError(f"nodes must hold every id that is asked for or used, got none for {', '.join(unknown)}")
     found, waiting = set(), [id]
     while waiting:
         one = waiting.pop()

@@ -6,6 +6,9 @@ import json
 from dataclasses import dataclass
 from importlib import resources
 
+# What Coq says of a theorem that rests on no axiom.
+CLOSED = "Closed under the global context"
+
 
 @dataclass(frozen=True)
 class Record:
@@ -40,6 +43,17 @@ def record() -> Record:
     with resources.files("rhl.paper").joinpath("data", "proofs.json").open(encoding="utf-8") as file:
         kept = json.load(file)
     return Record(kept["coq"], kept["sources"], kept["theorems"], tuple(kept["rejected"]))
+
+
+def proves(theorem: str) -> bool:
+    """Whether the record says that Coq checked a theorem and that it rests on no axiom.
+
+    Examples
+    --------
+    >>> proves("lemma_5.enough_weights"), proves("lemma_5.no_such_theorem")
+    (True, False)
+    """
+    return record().theorems.get(theorem) == CLOSED
 
 
 def anchor(theorem: str) -> str:

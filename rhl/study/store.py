@@ -7,12 +7,14 @@ import hashlib
 import json
 import os
 import platform
+import re
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
+from math import prod
 from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 _DATA, _PROVENANCE, _MARKERS, _LOCK = "results.zarr", "provenance.json", "done", "lock"
 _SOURCES = Path(rhl.__file__).parent
+# The largest store that is loaded, in bytes; a campaign's largest has about 1 GB. The largest provenance.
+_LARGEST, _LONGEST = 2_000_000_000, 20_000_000
+_PLAIN = re.compile("[|<>]([biufU])([0-9]{1,5})")
 
 
 def versions() -> dict[str, str]:
@@ -112,8 +117,10 @@ class Store:
         """Open a folder to continue; InputError if it is not a campaign's, or settings or versions have changed."""
         folder = Path(path)
         try:
-            before = json.loads((folder / _PROVENANCE).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            before = _read_json(folder / _PROVENANCE)
+            if not isinstance(before, dict) or not {"settings", "versions"} <= set(before):
+                raise ValueError
+        except (OSError, ValueError, RecursionError) as error:
             why = getattr(error, "strerror", None) or "invalid JSON"
             anew = "remove the folder and start again" if folder.exists() else "leave it out to start"
             raise InputError(
@@ -128,6 +135,7 @@ class Store:
                     f"--resume must find {what} as at the campaign's start, got {name} = {describe(mine)} and then "
                     f"{describe(theirs)}; start again in another folder"
                 )
+        _trusted(folder)
         return cls(folder, campaign)
 
     @cached_property
@@ -206,12 +214,65 @@ class Store:
 def load(path: str | os.PathLike[str]) -> xr.Dataset:
     """Return the results in a campaign's folder as an xarray.Dataset, in memory.
 
-    Dimensions are scheme and plant. For incomplete tasks, floats are NaN and integers zero.
+    Dimensions are scheme and plant. For incomplete tasks, floats are NaN and integers zero. The folder may come from a
+    stranger: InputError if it is not a campaign's, holds links or objects, or is larger than a campaign's.
     """
     import xarray as xr
 
+    _trusted(Path(path))
     with xr.open_zarr(Path(path) / _DATA, chunks=None) as found:
         return found.load()
+
+
+def _read_json(file: Path) -> Any:
+    with file.open("rb") as opened:
+        content = opened.read(_LONGEST + 1)
+    if len(content) > _LONGEST:
+        raise ValueError
+    return json.loads(content)
+
+
+def _trusted(folder: Path) -> None:
+    """Refuse a store that could write elsewhere, run code or fill the memory.
+
+    Links could point out of the folder, codecs of zarr such as pickle run code when a chunk is read, and a few bytes of
+    metadata can promise any number of entries.
+    """
+    data = folder / _DATA
+    for path in (folder, *folder.rglob("*")):
+        if path.is_symlink():
+            raise InputError(f"{shown(folder)} must be a campaign's folder without links, got {shown(path)}")
+    arrays: dict[str, Any] = {}
+    try:
+        arrays |= {path.as_posix(): _read_json(path) for path in data.rglob(".zarray")}
+        # Readers prefer this file to those of the arrays.
+        together = _read_json(data / ".zmetadata")["metadata"]
+        arrays |= {name: about for name, about in together.items() if name.rpartition("/")[2] == ".zarray"}
+        other = [path.name for path in data.rglob("zarr.json")]
+        wrong = other[0] if other else next((why for about in arrays.values() if (why := _fault(about))), "")
+        total = sum(_bytes(about, "shape") for about in arrays.values()) if not wrong else 0
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        why = getattr(error, "strerror", None) or "metadata that no campaign writes"
+        raise InputError(f"{shown(folder)} must hold a campaign's {_DATA}, got: {why}") from None
+    if wrong:
+        raise InputError(f"{shown(folder)} must hold arrays of numbers and names only, got {wrong}")
+    if total > 2 * _LARGEST:  # the metadata are there twice
+        raise InputError(f"{shown(folder)} must hold at most {_LARGEST} bytes, got {total // 2}")
+
+
+def _fault(about: dict[str, Any]) -> str:
+    """Return what the metadata of an array have that no campaign writes; "" if there is nothing."""
+    compressor, filters = about["compressor"], about["filters"]
+    if filters or (compressor is not None and compressor.get("id") != "blosc"):
+        return f"the codec {describe(filters or compressor)}"
+    if not (isinstance(about["dtype"], str) and _PLAIN.fullmatch(about["dtype"])):
+        return f"the type {describe(about['dtype'])}"
+    return f"a chunk of {_bytes(about, 'chunks')} bytes" if _bytes(about, "chunks") > _LARGEST else ""
+
+
+def _bytes(about: dict[str, Any], sizes: str) -> int:
+    kind, size = _PLAIN.fullmatch(about["dtype"]).groups()  # type: ignore[union-attr] # `_fault` has matched it
+    return prod(map(int, about[sizes])) * int(size) * (4 if kind == "U" else 1)
 
 
 def _template(campaign: Campaign, provenance: dict[str, Any]) -> xr.Dataset:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -344,6 +346,7 @@ WITHOUT = "import sys; sys.modules[{!r}] = None\n" + COMMAND
         ("control", "paper", ["run", "transfer.toml", "--output", "t.csv"]),
         ("control", "paper", ["check", "transfer.toml"]),
         ("sympy", "paper", ["verify", "--fast"]),
+        ("flint", "paper", ["verify", "eq-22", "--fast"]),
     ],
 )
 def test_a_package_that_is_missing_is_named_with_its_extra(config, tmp_path, package, extra, call):
@@ -405,10 +408,10 @@ def test_a_reader_who_leaves_and_a_full_disk():
 
 def test_verify_one_claim_and_the_ledgers_file(tmp_path, capsys):
     file = tmp_path / "ledger.json"
-    assert cli.main(["verify", "remark-4.chain", "--cases", "5", "--json", str(file)]) == 0
+    assert cli.main(["verify", "remark-4.chain", "--fast", "--json", str(file)]) == 0
     written = json.loads(file.read_text(encoding="utf-8"))
     assert written["version"] == 2
-    assert written["seed"] == 0
+    assert (written["seed"], written["cases"], written["complete"]) == (0, 10, True)
     (entry,) = written["claims"]
     assert entry["verdict"] == "holds-corrected"
     assert entry["status"] == "holds once corrected"
@@ -441,9 +444,9 @@ def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
     instance = Control("the corrected form", honest.corrected)
     lying = replace(honest, recorded="refuted", corrected=None, instance=instance)
     monkeypatch.setattr(ledger, "CLAIMS", (lying,))
-    assert cli.main(["verify", "--cases", "5"]) == 0  # without the correction it is refuted, as recorded
+    assert cli.main(["verify", "--fast"]) == 0  # without the correction it is refuted, as recorded
     monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
-    assert cli.main(["verify", "--cases", "5"]) == cli.MISSED
+    assert cli.main(["verify", "--fast"]) == cli.MISSED
     assert "holds on all cases tried, NOT refuted" in capsys.readouterr().out
 
 
@@ -487,7 +490,9 @@ def test_verify_reports_a_check_without_cases(monkeypatch, capsys):
     ("arguments", "sentence"),
     [
         (["lemma-99"], "ID must be one of the ledger's"),
-        (["--cases", "0"], "cases must be"),
+        (["--cases", "0"], "--cases: must be an integer from 10 to 100000, got '0'"),
+        (["--cases", "9"], "--cases: must be an integer from 10 to 100000, got '9'"),
+        (["--cases", "100001"], "--cases: must be an integer from 10 to 100000"),
         (["--seed", "-1"], "seed must"),
     ],
 )
@@ -499,3 +504,119 @@ def test_verify_refuses(capsys, arguments, sentence):
 def test_verify_lists(capsys):
     assert cli.main(["verify", "--list", "lemma-6"]) == 0
     assert capsys.readouterr().out.startswith("lemma-6 ")
+
+
+def test_verify_lists_as_json(tmp_path, capsys):
+    from rhl.paper.claims import ledger
+
+    assert cli.main(["verify", "--list", "--json", "-"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert [entry["id"] for entry in listed["claims"]] == [claim.id for claim in ledger.CLAIMS]
+    assert set(listed["claims"][0]) >= {"id", "statement", "recorded", "method"}
+    file = tmp_path / "list.json"
+    assert cli.main(["verify", "--list", "eq-22", "--json", str(file)]) == 0
+    assert [entry["id"] for entry in json.loads(file.read_text(encoding="utf-8"))["claims"]] == ["eq-22"]
+    assert capsys.readouterr().out.startswith("eq-22 ")
+
+
+def test_verify_keeps_every_number_on_a_narrow_terminal(monkeypatch, capsys):
+    for width in (80, 100, 230):
+        monkeypatch.setenv("COLUMNS", str(width))
+        assert cli.main(["verify", "eq-22", "theorem-2.iii.augmented", "lemma-5", "--fast"]) == 0
+        out = capsys.readouterr().out
+        assert all(word in out for word in ("cases", "worst", "tolerance", "machine-checked", "counterexample"))
+        assert ("left out:" in out) == (width < 230)
+        table = [line for line in out.splitlines() if line[:1] in "┏┃┡│└"]
+        assert {len(line) for line in table} == {len(table[0])}
+        assert len(table[0]) <= width
+
+
+def test_verify_says_for_which_checks_the_number_of_cases_is(capsys):
+    assert cli.main(["verify", "eq-22", "--fast"]) == 0
+    assert capsys.readouterr().out.startswith("1 claim, seed 0, 10 cases for each check that draws random ones")
+
+
+def test_a_second_interrupt_does_not_lose_the_table(tmp_path, monkeypatch, capsys):
+    """The first Ctrl-C ends the checks; one that comes while the results are printed and written is ignored."""
+    from rhl.app import _verify
+    from rhl.paper.claims import ledger
+
+    real_run, real_table, before = ledger.run, _verify.print_table, signal.getsignal(signal.SIGINT)
+
+    def interrupted(claims, effort, progress):
+        real_run(claims[:1], effort, progress)
+        signal.raise_signal(signal.SIGINT)
+
+    def pressed_again(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        real_table(*arguments)
+
+    monkeypatch.setattr(ledger, "run", interrupted)
+    monkeypatch.setattr(_verify, "print_table", pressed_again)
+    file = tmp_path / "v.json"
+    assert cli.main(["verify", "eq-22", "lemma-5", "--fast", "--json", str(file)]) == cli.INTERRUPTED
+    streams = capsys.readouterr()
+    assert streams.err == "rhl: interrupted after 1 of 2 claims\n"
+    assert "1 claim, seed 0" in streams.out
+    written = json.loads(file.read_text(encoding="utf-8"))
+    assert (written["complete"], len(written["claims"])) == (False, 1)
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def test_without_the_first_interrupt_the_second_one_ends_the_command(monkeypatch, capsys):
+    from rhl.app import _verify
+
+    monkeypatch.setattr(_verify, "print_table", lambda *_: signal.raise_signal(signal.SIGINT))
+    assert cli.main(["verify", "eq-22", "--fast"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "rhl: interrupted\n"
+
+
+def test_verify_fails_where_coq_has_not_checked_a_theorem(monkeypatch, capsys):
+    from rhl.paper import formal
+    from rhl.paper.claims import ledger
+
+    (claim,) = ledger.select(["lemma-5"])
+    assert claim.formal
+    kept = formal.record()
+    for theorems in ({}, {claim.formal: "Axioms: anything"}):
+        monkeypatch.setattr(formal, "record", lambda theorems=theorems: replace(kept, theorems=theorems))
+        assert cli.main(["verify", "lemma-5", "--fast"]) == cli.MISSED
+        out = capsys.readouterr().out
+        assert f"the record of Coq's results does not have the theorem {claim.formal}" in out
+        assert "machine-checked" not in out
+    monkeypatch.setattr(formal, "record", lambda: kept)
+    assert cli.main(["verify", "lemma-5", "--fast"]) == 0
+    assert "machine-checked" in capsys.readouterr().out
+
+
+def test_check_explains_the_words_that_it_uses(config, capsys):
+    assert cli.main(["check", str(config()), "--run"]) == cli.MISSED  # a run of 42 steps has not converged
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    for said in ("met: holds", "note: a number", "N_y, N_v: the numbers", "lifted pair: the model", "s+: the smallest"):
+        assert any(line.startswith(said) for line in lines), said
+    assert "violated: does not hold" not in lines  # no finding has this verdict
+    assert "Theorem 3" not in out  # it fails as printed, so a run cannot meet it
+
+
+@pytest.mark.parametrize(
+    ("asked", "sentence"),
+    [
+        (["--steps", "100001"], "--steps must be an integer of at most 100000, got 100001"),
+        (["--seeds", "1001"], "--seeds must be an integer of at most 1000, got 1001"),
+    ],
+)
+def test_a_comparison_has_limits(capsys, asked, sentence):
+    assert cli.main(["compare", "toy", *asked]) == cli.BAD_INPUT
+    assert capsys.readouterr().err == f"rhl: {sentence}\n"
+
+
+def test_a_terminal_without_rich_shows_no_bar(config, tmp_path):
+    """On a terminal a run shows its progress; without the package for it, it runs without."""
+    main, side = os.openpty()
+    call = [sys.executable, "-c", WITHOUT.format("rich"), "run", str(config()), "--output", str(tmp_path / "t.csv")]
+    done = subprocess.run(call, stdin=side, stdout=side, stderr=side, check=False)
+    os.close(side)
+    os.close(main)
+    assert done.returncode == 0
+    assert len(rows_of(tmp_path / "t.csv")) == 42

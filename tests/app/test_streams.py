@@ -254,7 +254,7 @@ def started(command, **streams):
             "def step(z, v):\n global n\n n += 1\n time.sleep(0.001)\n if n == 20: open('mark', 'w').close()\n"
             " return good(z, v)\n"
         )
-    process = subprocess.Popen([*command, *RUN.split()], **streams)
+    process = subprocess.Popen([*command, *RUN.split(), "--allow-python"], **streams)
     deadline = time.monotonic() + 60
     while not Path("mark").exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -266,3 +266,16 @@ def test_names(id, item, names):
 def test_boxes_lead_to_proofs():
     assert address(claim("1")) == "../notebooks/p.html"
     assert address(claim("1", proof="notebooks/q.ipynb#here")) == "../notebooks/q.html#here"
+
+
+def test_claims_without_a_status_and_nodes_that_are_not_there():
+    statuses = dict.fromkeys((claim.id for claim in CLAIMS), "proved here")
+    nodes = chain.graph(CLAIMS, statuses)
+    with pytest.raises(InputError, match=f"statuses must have one for each claim, got none for {CLAIMS[0].id}$"):
+        chain.graph(CLAIMS, {id: status for id, status in statuses.items() if id != CLAIMS[0].id})
+    with pytest.raises(InputError, match="nodes must hold every id that is asked for or used, got none for lemma-99"):
+        chain.ancestors(nodes, "lemma-99")
+    used = next(node for node in nodes if node.uses)
+    with pytest.raises(InputError, match=f"got none for .*{used.uses[0]}"):
+        chain.ancestors([node for node in nodes if node.claim.id != used.uses[0]], used.claim.id)
+    assert used.uses[0] in chain.ancestors(nodes, used.claim.id)

@@ -13,6 +13,7 @@ import numpy as np
 
 from rhl._checks import integer
 from rhl.errors import InputError
+from rhl.paper import formal
 
 Recorded = Literal["holds", "holds-corrected", "refuted", "observed", "not-checkable"]
 Verdict = Literal["holds", "holds-corrected", "refuted", "observed", "not-checkable", "no-evidence"]
@@ -194,7 +195,7 @@ class Judgement:
     told_apart : bool, optional
         Whether the instance of a refuted claim passed, as it must; None without instance or evidence.
     problem : str
-        Why a check, a control or an instance gave no evidence; empty if all did.
+        Why a check, a control or an instance gave no evidence, or that Coq's record lacks the theorem; else empty.
     seconds : float
         The time taken.
     """
@@ -209,12 +210,17 @@ class Judgement:
 
     @property
     def as_recorded(self) -> bool:
-        """Whether the verdict is the recorded one, the control failed and the instance passed."""
+        """Whether verdict and theorem are as recorded, the control failed and the instance passed."""
         return (
-            self.verdict == self.claim.recorded
+            self._formal_as_recorded
+            and self.verdict == self.claim.recorded
             and self.tripped is (None if self.claim.control is None else True)
             and self.told_apart is (None if self.claim.instance is None else True)
         )
+
+    @property
+    def _formal_as_recorded(self) -> bool:
+        return not self.claim.formal or formal.proves(self.claim.formal)
 
     @property
     def told_true_from_false(self) -> str:
@@ -229,7 +235,7 @@ class Judgement:
         """The meaning of the verdict, in words."""
         match self.verdict:
             case "holds" | "observed":
-                if self.claim.formal:
+                if self.claim.formal and self._formal_as_recorded:
                     return "machine-checked"
                 return "proved here" if self.claim.proof else "holds on all cases tried"
             case "holds-corrected":
@@ -267,6 +273,8 @@ def judge(claim: Claim, effort: Effort) -> Judgement:
         instance, *rest = _run("the instance", claim.instance.check, effort)
         told_apart = instance.passes if instance.conclusive else None
         more += rest
+    if claim.formal and not formal.proves(claim.formal):
+        more.append(f"the record of Coq's results does not have the theorem {claim.formal}")
     seconds = time.perf_counter() - begin
     return Judgement(claim, verdict, evidence, tripped, told_apart, "; ".join(problems + more), seconds)
 

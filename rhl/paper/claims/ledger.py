@@ -103,9 +103,20 @@ def run(
     return judgements
 
 
-def as_json(judgements: Iterable[Judgement], effort: Effort) -> dict[str, Any]:
-    """Return judgements in the form that ``rhl verify --json`` writes."""
-    return {"version": VERSION, "seed": effort.seed, "claims": [_entry(judgement) for judgement in judgements]}
+def as_json(judgements: Iterable[Judgement], effort: Effort, *, asked: int | None = None) -> dict[str, Any]:
+    """Return judgements in the form that ``rhl verify --json`` writes.
+
+    ``asked``: how many claims were to be checked; "complete" says whether all were.
+    """
+    claims = [_entry(judgement) for judgement in judgements]
+    complete = asked is None or len(claims) == asked
+    return {"version": VERSION, "seed": effort.seed, "cases": effort.cases, "complete": complete, "claims": claims}
+
+
+def listed(claims: Iterable[Claim]) -> dict[str, Any]:
+    """Return claims without judgements in the form that ``rhl verify --list --json`` writes."""
+    names = ("id", "item", "label", "statement", "method", "recorded", "kind", "page", "test")
+    return {"version": VERSION, "claims": [{name: getattr(claim, name) for name in names} for claim in claims]}
 
 
 def _entry(judgement: Judgement) -> dict[str, Any]:
