@@ -113,6 +113,7 @@ PAPER = [
     ),
     "paper.claims.ledger",
     "paper.chain",
+    "paper.environment",
     "paper.pages",
     "paper.listing",
     "paper.chain_picture",
