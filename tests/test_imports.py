@@ -152,7 +152,7 @@ APP = [
             "_plants",
             "_sections",
             "config",
-            "templates",
+            "_templates",
             "_status",
             "_streams",
             "_run",
