@@ -148,6 +148,7 @@ APP = [
             "_after",
             "diagnosis",
             "_keys",
+            "_published",
             "_plants",
             "_sections",
             "config",
