@@ -148,7 +148,6 @@ APP = [
             "_after",
             "diagnosis",
             "_keys",
-            "_published",
             "_plants",
             "_sections",
             "config",

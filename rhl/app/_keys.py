@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import tomllib
@@ -219,8 +218,3 @@ def read_toml(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
         detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
         raise InputError(f"{name} must be valid TOML, got: {detail}") from error
     return text, data
-
-
-def toml(value: object) -> str:
-    """Return a value as it is written in a TOML file."""
-    return json.dumps(value, ensure_ascii=False)

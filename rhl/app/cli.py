@@ -278,8 +278,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _new(options: argparse.Namespace) -> int:
     from rhl._checks import shown
-    from rhl.app._published import published
-    from rhl.app.config import template
+    from rhl.app.config import published, template
 
     name = options.name.removesuffix(".toml")
     stem = Path(name).name

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,6 @@ from rhl.app._keys import (
     list_of,
     read_toml,
     table_of,
-    toml,
 )
 from rhl.app._plants import PLANTS
 from rhl.app._sections import (
@@ -42,7 +43,10 @@ from rhl.errors import InputError
 from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.published import Experiment
-from rhl.plants import Plant
+from rhl.plants import LinearPlant, Plant
+from rhl.plants.analysis import linearise, observability_index
+from rhl.plants.benchmarks import benchmark, names
+from rhl.plants.examples import EXAMPLES, example
 from rhl.scheme import Scheme, default_scheme, scheme_for
 from rhl.tracking import SetPoint
 
@@ -261,7 +265,7 @@ def keys() -> Iterator[tuple[str, str]]:
             for name, one in kind.keys().items():
                 what = one["description"]
                 if "default" in one:
-                    what += "; may be left out" if one["default"] is None else f"; {toml(one['default'])} if left out"
+                    what += "; may be left out" if one["default"] is None else f"; {_toml(one['default'])} if left out"
                 described.setdefault(name, {}).setdefault(what, []).append(kind.tag())
         for name, texts in described.items():
             everywhere = name == "kind" or list(map(len, texts.values())) == [len(kinds)]
@@ -319,11 +323,53 @@ def template(name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def published(name: str, source: str) -> str:
+    """Return a TOML file for a run of that name on a published plant: a benchmark or an example.
+
+    The scheme is chosen from the plant's observability index. InputError, with the nearest names, where there is no
+    plant of the name ``source``.
+    """
+    if source in EXAMPLES:
+        found = example(source)
+        plant = found.plant if isinstance(found.plant, LinearPlant) else linearise(found.plant)
+        section: dict[str, object] = {"kind": "ready", "name": source}
+        order, what = observability_index(plant.F, plant.H), found.what
+    elif source in names():
+        benched = benchmark(source)
+        plant, order = benched.sampled(), benched.order()
+        what = (
+            benched.title if benched.discrete else f"{benched.title}, sampled every {benched.h:g} {benched.time_unit}"
+        )
+        matrices = {symbol: getattr(plant, symbol).tolist() for symbol in "FGH"}
+        section = {"kind": "linear", **matrices, "z0": benched.z0.tolist()}
+    else:
+        known = (*EXAMPLES, *names())
+        near = get_close_matches(source, known, n=3) or known
+        raise InputError(
+            f"--from must name a plant that comes with rhl, one of {', '.join(near)}, got {describe(source)}"
+        )
+    head = {"name": name, "steps": 400, "order": order}
+    return "\n".join(
+        [
+            f"# {what}: rhl check FILE, then rhl run FILE --output trace.csv --plot trace.svg",
+            *(f"{name} = {_toml(value)}" for name, value in head.items()),
+            "",
+            "[plant]",
+            *(f"{name} = {_toml(value)}" for name, value in section.items()),
+            "",
+        ]
+    )
+
+
 def _entry(name: str, what: str, value: object, default: object = None) -> list[str]:
     comment = textwrap.wrap(f"{name}: {what}", 100, initial_indent="# ", subsequent_indent="#   ")
     if value is not None:
-        return [*comment, f"{name} = {toml(value)}"]
-    return [*comment, f"# {name} = {'...' if default is None else toml(default)}"]
+        return [*comment, f"{name} = {_toml(value)}"]
+    return [*comment, f"# {name} = {'...' if default is None else _toml(default)}"]
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)
 
 
 def _fit(name: str, rows: Any, shape: tuple[int, int], why: str) -> Array:
