@@ -22,6 +22,7 @@ CORE = [
     "plants.functions",
     "plants.robot_arm",
     "plants",
+    "plants.cart_pendulum",
     "plants.examples",
     "plants.analysis",
     "plants._benchmark",
