@@ -11,22 +11,30 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test serve site pdf epub verify proofs bench campaign lock clean
+.PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign clean-room audit lock clean
 
 help: ## list these commands
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
 
 env: .venv/compiled ## make .venv with everything in environment.lock, and rhl on its path, its loops compiled
 
 book: env ## execute and build the book into build/_build/html
 	python tools/engine.py
-	RHL_BOOK=1 python tools/fresh.py jupyter-book build . --path-output build -W --keep-going
+	RHL_BOOK=1 python tools/fresh.py sh -c 'python -m tools.execute && jupyter-book build . --path-output build -W --keep-going'
 
 test: env ## lint, types, library, notebooks, README and the book
 	ruff check
 	ruff format --check
 	mypy
-	pytest -n 2
+	pytest -n 2 --dist worksteal
+
+test-all: env ## the same with large sizes: more random cases, every page in both themes, notebooks anew; for the night
+	RHL_NIGHTLY=1 pytest -n 2 --dist worksteal -m "nightly or not nightly"
+
+mutants: env ## change the library in 300 places and see which changes the tests, the claims and the notebooks notice
+	python -m tools.mutants tests --at-least 0.92
+	python -m tools.mutants verify --at-least 0.5
+	python -m tools.mutants notebooks --at-least 1
 
 serve: env ## show the built book on http://localhost:8000 (PORT=... for another port)
 	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
@@ -56,6 +64,12 @@ bench: env ## measure how fast the library is
 
 campaign: env ## run the campaigns behind the page on many plants anew, or go on with them, about 10 minutes
 	OPENBLAS_NUM_THREADS=1 python tools/campaign.py build/campaign --workers 2
+
+clean-room: env ## build the package, install it into empty environments, and try its commands and notebooks there
+	python tools/clean_room.py --notebooks all
+
+audit: env ## ask for known weaknesses of every package that environment.lock pins; needs the advisory service of PyPI
+	uv tool run --from pip-audit==2.10.1 pip-audit --requirement environment.lock --require-hashes --disable-pip --strict
 
 lock: $(BIN)/uv ## resolve pyproject.toml anew into environment.lock
 	$(BIN)/python tools/lock.py $(BIN)/uv

@@ -6,6 +6,8 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
+from tools.execute import ROOT, executed_for_the_book
+
 # What only the extras `book` and `test` bring, by the names under which it is imported.
 REFUSED = frozenset(
     (
@@ -66,9 +68,13 @@ sys.meta_path.insert(0, Refuse)
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    """Have the kernels that nbmake starts for these notebooks, and no other process, refuse those packages."""
+    """Have the kernels that nbmake starts for these notebooks, and no other process, refuse those packages.
+
+    A notebook that nbmake has executed for the book, as it is and with the library as it is, is not executed again.
+    """
+    if not item.config.option.overwrite and executed_for_the_book(ROOT, item.path):
+        item.runtest = lambda: None
     with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         Path(folder, "sitecustomize.py").write_text(SITECUSTOMIZE, encoding="utf-8")
         patch.setenv("PYTHONPATH", folder, prepend=os.pathsep)
-        patch.delenv("RHL_BOOK", raising=False)
         return (yield)

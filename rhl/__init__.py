@@ -6,9 +6,10 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rhl.closed_loop import ControllerState, Step, advance, closed_loop, replay, start, step
+    from rhl.closed_loop import advance, closed_loop, replay, start, step
     from rhl.constraints import LinearConstraints
     from rhl.controllability import ConstantMixing, LambdaSearch
+    from rhl.controller import Controller
     from rhl.disturbances import GaussianNoise, Saturation
     from rhl.errors import (
         AssumptionWarning,
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
     from rhl.plants import FunctionPlant, LinearPlant
     from rhl.problems import V1, V2, V3
     from rhl.schedules import PowerDecay
-    from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
+    from rhl.scheme import Scheme, default_scheme, window_scheme
     from rhl.simulation import simulate
+    from rhl.state import ControllerState, Step
     from rhl.trace import Trace
     from rhl.tracking import SetPoint
     from rhl.units import RunningUnits
@@ -81,8 +83,9 @@ __version__ = "0.1.0"
 
 # The module of each name. Names are loaded on first use, so that `rhl --help` does not wait for numpy.
 _HOMES = (
-    *("closed_loop", "constraints", "controllability", "disturbances", "errors", "estimator", "horizon", "lifting"),
-    *("live", "memory", "model", "plants", "schedules", "scheme", "simulation", "trace", "units"),
+    *("closed_loop", "constraints", "controllability", "controller", "disturbances", "errors", "estimator", "horizon"),
+    *("lifting", "live", "memory", "model", "plants", "problems", "schedules", "scheme", "simulation", "state"),
+    *("trace", "tracking", "units"),
 )
 
 

@@ -22,7 +22,20 @@ _MOST = 2000
 
 
 class Basis(Protocol):
-    """Functions phi of the stacked outputs w(k) = [y(k); ...; y(k-N_y+1)], all zero at w = 0."""
+    """Functions phi of the stacked outputs w(k) = [y(k); ...; y(k-N_y+1)], all zero at w = 0.
+
+    Examples
+    --------
+    >>> class Squares:
+    ...     def count(self, p, outputs):
+    ...         return p * outputs
+    ...
+    ...     def features(self, stack, p):
+    ...         return stack**2
+    >>> from rhl.lifting import DelayLifting
+    >>> DelayLifting(2, 1, basis=Squares()).size(1)
+    4
+    """
 
     def count(self, p: int, outputs: int) -> int:
         """Return how many functions there are for outputs of size p, of which N_y are stacked."""

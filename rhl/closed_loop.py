@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -14,166 +13,27 @@ from rhl._checks import Array, common_batch, describe, instance, numbers, real_a
 from rhl.controllability import chosen
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError, NotFiniteError
-from rhl.horizon import Plan, first_input, solve
+from rhl.horizon import first_input, solve
 from rhl.lifting import remember
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.plants.base import Plant, check_plant
 from rhl.plants.linear import LinearPlant
-from rhl.problems import V1
 from rhl.scheme import Scheme
+from rhl.state import ControllerState, Step, centre_of, sizes_of
 from rhl.tracking import seen
-
-# A first output that is this much smaller than the next was small by chance, and is not used as a scale.
-_CHANCE = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class ControllerState:
-    """The state of the scheme between two steps.
-
-    Attributes
-    ----------
-    k : int
-        The next step.
-    y, v : array, shapes (..., T, p) and (..., T, q)
-        y(k-1), y(k-2), ... and v(k-1), v(k-2), ..., as applied; zero before k = 0.
-    model : SignalModel
-        theta~(k-1).
-    stage : array of int, shape (...), or None
-        The stage j(k-1) of an adaptive terminal weight.
-    value : array, shape (...), or None
-        V1 at k-1, where the weight is adaptive.
-    size : array, shape (..., p), or None
-        The largest absolute value of each output, or of its distance from a set point, before k, with running units.
-    data : array, shape (..., n + N_v q, 2 n + N_v q), or None
-        The memory of ``GrowingMemory`` before k.
-    """
-
-    k: int
-    y: Array
-    v: Array
-    model: SignalModel
-    stage: np.ndarray | None = None
-    value: Array | None = None
-    size: Array | None = None
-    data: Array | None = None
-
-    def __post_init__(self) -> None:
-        _freeze(self, "y", "v", "value", "size", "data")
-        _freeze(self, "stage", kind=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """Everything that happened at one k.
-
-    Attributes
-    ----------
-    scheme : Scheme
-        The scheme.
-    state : ControllerState
-        The state before the step; ``step(scheme, state, y)`` repeats it.
-    y : array, shape (..., p)
-        Measured output.
-    v_computed : array, shape (..., q)
-        Computed input, ``plan.u[..., 0, :]``; with a set point that is its increment.
-    v_applied : array, shape (..., q)
-        Applied input: the computed one, unless an actuator changed it.
-    estimate : SignalModel
-        theta*(k), the minimiser of equation (15).
-    model : SignalModel
-        theta~(k), after mixing.
-    lam : array, shape (...)
-        lambda_k.
-    stage : array of int, shape (...)
-        The argument of epsilon: k, or the stage j(k) of an adaptive weight.
-    z : array, shape (..., n), or None
-        The plant's state z(k), if there is a plant.
-    size, data : array or None
-        Those of ``ControllerState`` with y(k) and the transition to k.
-    """
-
-    scheme: Scheme
-    state: ControllerState
-    y: Array
-    v_computed: Array
-    v_applied: Array
-    estimate: SignalModel
-    model: SignalModel
-    lam: Array
-    stage: np.ndarray
-    z: Array | None = None
-    size: Array | None = None
-    data: Array | None = None
-
-    def __post_init__(self) -> None:
-        _freeze(self, "y", "v_computed", "v_applied", "lam", "z", "size", "data")
-        _freeze(self, "stage", kind=np.int64)
-
-    @property
-    def k(self) -> int:
-        """The step."""
-        return self.state.k
-
-    @cached_property
-    def y_hat(self) -> Array:
-        """The prediction of y(k) made at k-1: the first entries of A x(k-1) + B u(k-1); y(0) at k = 0."""
-        if self.k == 0:
-            return self.y
-        scheme, lifting, state = self.scheme, self.scheme.lifting, self.state
-        y, v = seen(scheme.set_point, self.k - 1, state.y, state.v)
-        x, u = lifting.lift(y, 1)[..., 0, :], lifting.window(v, lifting.inputs, 1)[..., 0, :]
-        with np.errstate(over="ignore", invalid="ignore"):
-            predicted = state.model.step(x, u)[..., : scheme.p]
-            return predicted if scheme.set_point is None else predicted + scheme.set_point.at(self.k - 1, scheme.p)
-
-    @property
-    def used(self) -> SignalModel:
-        """The model that the controller used: theta~(k), or theta~(k-1) with model_delay = 1."""
-        return self.centre if self.scheme.controller.model_delay else self.model
-
-    @property
-    def centre(self) -> SignalModel:
-        """The proximal centre theta~(k-1); the initial model at k = 0 and where an output is first nonzero."""
-        return centre_of(self.scheme, self.k, self.state.model, self.state.size, self.size)
-
-    @property
-    def _sizes(self) -> tuple[Array, Array] | None:
-        return _sizes(self.scheme, self.used, self.size, self.data)
-
-    @cached_property
-    def problem(self) -> V1:
-        """The problem solved at k, equation (3) for the augmented model."""
-        scheme = self.scheme
-        before = None if scheme.set_point is None else self.state.v[..., 0, :]
-        model = scheme.lifting.augment(self.used)
-        return scheme.controller.problem(model, self._augmented_state, self.stage, self._sizes, before)
-
-    @property
-    def _augmented_state(self) -> Array:
-        y, v = seen(self.scheme.set_point, self.k, remember(self.state.y, self.y), self.state.v)
-        return self.scheme.lifting.augmented_state(y, v)
-
-    @cached_property
-    def plan(self) -> Plan:
-        """The solution of that problem, computed on access; ``plan.x[..., 0, :]`` is the augmented state X(k).
-
-        With a set point, ``plan.u`` are increments of the input, and outputs in ``plan.x`` are distances from it.
-        """
-        return solve(self.problem, self._augmented_state)
-
-
-def _freeze(record: ControllerState | Step, *names: str, kind: type = np.float64) -> None:
-    for name in names:
-        if getattr(record, name) is not None:
-            copy: np.ndarray = np.array(getattr(record, name), dtype=kind)
-            copy.flags.writeable = False
-            object.__setattr__(record, name, copy)
 
 
 def start(scheme: Scheme) -> ControllerState:
-    """Return the state before k = 0: all signals zero, the initial model."""
+    """Return the state before k = 0: all signals zero, the initial model.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> state = start(default_scheme(p=1, q=1, order=2))
+    >>> state.k, state.y.shape, state.v.shape
+    (0, (4, 1), (4, 1))
+    """
     instance("scheme", scheme, Scheme)
     depth, model, estimator = scheme.depth, scheme.initial_model, scheme.estimator
     return ControllerState(
@@ -186,38 +46,17 @@ def start(scheme: Scheme) -> ControllerState:
     )
 
 
-def centre_of(scheme: Scheme, k: int, model: SignalModel, before: Array | None, size: Array | None) -> SignalModel:
-    """Return the proximal centre at k: theta~(k-1), or the initial model scaled by the sizes at k.
-
-    The latter applies if an output is nonzero for the first time and had no size before, or if its size was small by
-    chance while the memory was empty. ``before`` and ``size``, shape (..., p), are the sizes before k and at k.
-    """
-    units = scheme.units
-    if units is None or size is None or not units.model_in_sizes:
-        return model
-    if k == 0:
-        return units.initial(scheme.initial_model, scheme.lifting, size, scheme.q)
-    least = _CHANCE if isinstance(scheme.estimator, GrowingMemory) and k < scheme.first_measured else 0.0
-    fresh = (cast(Array, before) <= least * size) & (size > 0)
-    if not np.any(fresh):
-        return model
-    begun = units.initial(scheme.initial_model, scheme.lifting, size, scheme.q)
-    rows = np.tile(fresh, scheme.lifting.outputs)[..., None]
-    return SignalModel(np.where(rows, begun.A, model.A), np.where(rows, begun.B, model.B))
-
-
-def _sizes(scheme: Scheme, used: SignalModel, size: Array | None, data: Array | None) -> tuple[Array, Array] | None:
-    units, lifting, q = scheme.units, scheme.lifting, scheme.q
-    if units is None:
-        return None
-    found, estimator, unknown = cast(Array, size), scheme.estimator, None
-    if isinstance(estimator, GrowingMemory) and units.caution > 0:
-        unknown = estimator.unknown(cast(Array, data), units.parameters(lifting, found, q))
-    return units.weights(used, lifting, found, q, unknown)
-
-
 def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Array:
-    """Return the memory of ``GrowingMemory`` at k; it stays empty while zeros from before k = 0 are lifted."""
+    """Return the memory of ``GrowingMemory`` at k; it stays empty while zeros from before k = 0 are lifted.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> scheme = default_scheme(1, 1, 2)
+    >>> state = start(scheme)
+    >>> remembered(scheme, state, np.ones((2, 2)), np.ones((1, 2))) is state.data
+    True
+    """
     estimator = scheme.estimator
     assert isinstance(estimator, GrowingMemory)
     assert state.data is not None
@@ -227,7 +66,15 @@ def remembered(scheme: Scheme, state: ControllerState, x: Array, u: Array) -> Ar
 
 
 def proximal_centre(scheme: Scheme, previous: SignalModel) -> SignalModel:
-    """Return the centre of the estimator's step: theta~(k-1), or the initial model if there is a family."""
+    """Return the centre of the estimator's step: theta~(k-1), or the initial model if there is a family.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> before = SignalModel([[0.5]], [[2.0]])
+    >>> proximal_centre(default_scheme(1, 1, 1), before) is before
+    True
+    """
     return previous if scheme.family is None else scheme.initial_model
 
 
@@ -246,6 +93,14 @@ def _member(scheme: Scheme, state: ControllerState, estimate: SignalModel, data:
 
 def step(scheme: Scheme, state: ControllerState, y: ArrayLike) -> Step:
     """Take one step of the scheme, from the measured y(k), shape (..., p), to v(k).
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> scheme = default_scheme(p=1, q=1, order=2)
+    >>> done = step(scheme, start(scheme), [0.5])
+    >>> done.k, done.v_computed.shape, advance(scheme, done).k
+    (0, (1,), 1)
 
     The state is from ``start`` or ``advance``. InputError if y has another size, or a user's function returns
     an invalid value.
@@ -292,7 +147,7 @@ def _step(scheme: Scheme, state: ControllerState, y: Array) -> Step:
     stage = np.full(lead, state.k) if state.stage is None else state.stage
     X = lifting.with_past_inputs(x[..., 0, :], v_history)
     lifted = centre if controller.model_delay else model
-    used, sizes, factors, counts = lifting.augment(lifted), _sizes(scheme, lifted, size, data), scheme.factors, X
+    used, sizes, factors, counts = lifting.augment(lifted), sizes_of(scheme, lifted, size, data), scheme.factors, X
     if sizes is not None:
         (of_x, of_v), (Q, R, QN) = sizes, factors
         factors = Q * of_x[..., None, :], R * of_v[..., None, :], QN * of_x[..., None, :]
@@ -348,6 +203,16 @@ def closed_loop(
 
     ``rhl.simulate`` is faster for many steps.
 
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> from rhl.plants import LinearPlant
+    >>> from rhl.scheme import default_scheme
+    >>> plant = LinearPlant(F=[[1.1, 1.0], [0.0, 0.9]], G=[[0.0], [1.0]], H=[[1.0, 0.0]])
+    >>> steps = islice(closed_loop(default_scheme(p=1, q=1, order=2), plant, [1.0, -1.0]), 40)
+    >>> [bool(abs(done.z[0]) < 1e-2) for done in steps][::39]
+    [False, True]
+
     Parameters
     ----------
     scheme : Scheme
@@ -374,7 +239,15 @@ def closed_loop(
 
 
 def check_loop(scheme: Scheme, plant: Plant, z0: ArrayLike, applied_known: bool) -> Array:
-    """Check the parts of a loop; return z(0) with the batch axes of a linear plant."""
+    """Check the parts of a loop; return z(0) with the batch axes of a linear plant.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> plant = LinearPlant([[[1.1]], [[1.2]]], [[1.0]], [[1.0]])
+    >>> check_loop(default_scheme(1, 1, 1), plant, [1.0], True).shape
+    (2, 1)
+    """
     instance("scheme", scheme, Scheme)
     check_plant(plant)
     if not isinstance(applied_known, bool):

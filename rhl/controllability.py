@@ -92,7 +92,17 @@ def s_plus(maps: PredictorMaps | SignalModel, horizon: int | None = None) -> Arr
 
 
 class Mixing(Protocol):
-    """Chooses lambda_k of equation (15): any object with this function can be a scheme's mixing."""
+    """Chooses lambda_k of equation (15): any object with this function can be a scheme's mixing.
+
+    Examples
+    --------
+    >>> class Half:
+    ...     def choose(self, estimate, previous, augment):
+    ...         return np.full(estimate.A.shape[:-2], 0.5)
+    >>> model = SignalModel([[1.0]], [[1.0]])
+    >>> float(chosen(Half(), model, model, lambda pair: pair))
+    0.5
+    """
 
     def choose(self, estimate: SignalModel, previous: SignalModel, augment: Augment) -> Array:
         """Return lambda in [0, 1), a number or shape (...), for (1 - lambda) estimate + lambda previous."""

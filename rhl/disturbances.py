@@ -162,6 +162,11 @@ def through(name: str, disturbance: Disturbances | None, k: int, signal: Array) 
     A tuple of disturbances acts in series; None leaves the signal unchanged. ``name`` is its name in messages,
     "sensor", "actuator" or "load". InputError if the shape changes or a number is not finite. Exceptions of the user's
     own disturbance pass through, with a note about the call.
+
+    Examples
+    --------
+    >>> through("actuator", (Offset(0.5), Saturation(-1.0, 1.0)), 0, np.array([0.25, 3.0]))
+    array([0.75, 1.  ])
     """
     if disturbance is None:
         return signal

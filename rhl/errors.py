@@ -9,7 +9,17 @@ if TYPE_CHECKING:
 
 
 class RHLError(Exception):
-    """The base class of the library's errors; each message says in one sentence what was expected and found."""
+    """The base class of the library's errors; each message says in one sentence what was expected and found.
+
+    Examples
+    --------
+    >>> from rhl.model import SignalModel
+    >>> try:
+    ...     SignalModel([[1.0, 2.0]], [[1.0]])
+    ... except RHLError as error:
+    ...     print(type(error).__name__, error)
+    InputError A must be square, got shape (1, 2)
+    """
 
 
 class InputError(RHLError, ValueError):
@@ -17,11 +27,27 @@ class InputError(RHLError, ValueError):
 
 
 class NotFiniteError(InputError):
-    """A value is NaN or infinite."""
+    """A value is NaN or infinite.
+
+    Examples
+    --------
+    >>> from rhl.model import SignalModel
+    >>> SignalModel([[float("nan")]], [[1.0]])
+    Traceback (most recent call last):
+    rhl.errors.NotFiniteError: A must be finite, got nan among its entries
+    """
 
 
 class PlantError(InputError):
-    """A function of the caller's plant is invalid; the message says which one and how."""
+    """A function of the caller's plant is invalid; the message says which one and how.
+
+    Examples
+    --------
+    >>> from rhl.plants import FunctionPlant
+    >>> FunctionPlant(lambda z, v: z[:1], lambda z: z, n=2, q=1)
+    Traceback (most recent call last):
+    rhl.errors.PlantError: transition(z, v) must return an array of shape (2,), got shape (1,); return ...
+    """
 
 
 class InfeasibleError(RHLError, ValueError):
@@ -29,7 +55,19 @@ class InfeasibleError(RHLError, ValueError):
 
 
 class NotSolvedError(RHLError, ArithmeticError):
-    """The estimator's problem was not solved to the accuracy that its certificate requires."""
+    """The estimator's problem was not solved to the accuracy that its certificate requires.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rhl import ProximalEstimator, SignalModel
+    >>> from rhl.losses import CustomLoss
+    >>> concave = CustomLoss(lambda e: -50 * e @ e, lambda e: -100 * e, lambda e: -100 + 0 * e, assumption_6=True)
+    >>> x, u = np.array([[1.0], [1.0]]), np.array([[1.0]])
+    >>> ProximalEstimator(1, concave).minimise(SignalModel([[0.0]], [[0.0]]), x, u)
+    Traceback (most recent call last):
+    rhl.errors.NotSolvedError: the estimator's problem must be solved to ..., got ... (CustomLoss has negative ...
+    """
 
 
 class LostControllabilityError(RHLError, ArithmeticError):

@@ -162,7 +162,15 @@ def solve(problem: Problem, x: ArrayLike) -> Plan:
 def first_input(
     model: SignalModel, factors: tuple[Array, Array, Array], horizon: int, weight: Array, x: Array
 ) -> Array:
-    """Return the first input of V1's solution, shape (..., q), given upper factors of Q, R and QN."""
+    """Return the first input of V1's solution, shape (..., q), given upper factors of Q, R and QN.
+
+    Examples
+    --------
+    >>> model, one, x = SignalModel([[1.0]], [[1.0]]), np.eye(1), np.array([1.0])
+    >>> plan = solve(V1(model, 1.0, 1.0, 1.0, 4.0, 5), x)
+    >>> bool(np.isclose(first_input(model, (one, one, one), 5, np.array(4.0), x), plan.u[0])[0])
+    True
+    """
     Q, R, QN = factors
     K, _, _ = gains(*_scaled(weight, QN, model.A, model.B, Q, R), horizon)
     u, _ = rollout(model.A, model.B, K[..., :1, :, :], np.zeros((1, model.q)), x)

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from rhl._checks import Array, instance, real_array, shown
 from rhl._files import write_whole
-from rhl.closed_loop import ControllerState, advance, start, step
+from rhl.closed_loop import advance, start, step
 from rhl.errors import InputError
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
+from rhl.state import ControllerState
 
 _ARRAYS = ("y", "v", "stage", "value", "size", "data")
 # The largest saved state, in bytes, unpacked.

@@ -172,7 +172,13 @@ def run(trace: Trace, title: str = "") -> Figure:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure drawn twice, for light and for dark pages, that a notebook shows with its alternative text."""
+    """A figure drawn twice, for light and for dark pages, that a notebook shows with its alternative text.
+
+    Examples
+    --------
+    >>> Picture("<svg/>", "<svg/>", "A line falls to zero.")
+    A line falls to zero.
+    """
 
     light: str
     dark: str

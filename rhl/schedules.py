@@ -96,6 +96,11 @@ def epsilon_at(schedule: Schedule, k: int) -> float:
 
     InputError if it is not positive and finite at k, or is larger there than at k - 1. Exceptions of the user's
     own schedule pass through, with a note about the call.
+
+    Examples
+    --------
+    >>> epsilon_at(lambda k: 0.5**k, 3)
+    0.125
     """
     k = integer("k", k, 0)
     now = _value(schedule, k)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from rhl import _engine
 from rhl._checks import Array, choice, describe, integer
-from rhl.closed_loop import ControllerState, Step, advance, check_loop, measured, moved, output, start, step
+from rhl.closed_loop import advance, check_loop, measured, moved, output, start, step
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError
 from rhl.lifting import remember
@@ -21,7 +21,8 @@ from rhl.plants.base import Plant
 from rhl.plants.linear import LinearPlant
 from rhl.schedules import epsilons
 from rhl.scheme import Scheme
-from rhl.trace import Models, Trace
+from rhl.state import ControllerState, Models, Step
+from rhl.trace import Trace
 
 Record = Literal["signals", "models"]
 

@@ -12,43 +12,15 @@ import numpy as np
 
 from rhl._checks import Array, describe, instance, integer
 from rhl._files import header, table_text, write_whole
-from rhl.closed_loop import ControllerState, Step, centre_of, proximal_centre, replay
+from rhl.closed_loop import proximal_centre, replay
 from rhl.controllability import controllability_margin, s_plus
 from rhl.errors import InputError
 from rhl.horizon import Plan
 from rhl.memory import GrowingMemory
 from rhl.model import SignalModel
 from rhl.scheme import Scheme
+from rhl.state import ControllerState, Models, Step, centre_of
 from rhl.tracking import seen
-
-
-@dataclass(frozen=True, eq=False)
-class Models:
-    """The estimates of a run: theta = [A B] with n rows, before and after mixing.
-
-    Attributes
-    ----------
-    estimate, model : array, shape (steps, ..., n, n + q)
-        theta*(k) and theta~(k).
-    lam : array, shape (steps, ...)
-        lambda_k.
-    stage : array of int, shape (steps, ...), or None
-        The stages j(k) of an adaptive terminal weight.
-    """
-
-    estimate: Array
-    model: Array
-    lam: Array
-    stage: np.ndarray | None = None
-
-    @classmethod
-    def of_steps(cls, steps: Iterable[Step]) -> Models:
-        """Collect the estimates of steps."""
-        steps = tuple(steps)
-        both = [[np.concatenate([of.A, of.B], axis=-1) for of in (done.estimate, done.model)] for done in steps]
-        stage = np.stack([done.stage for done in steps]) if steps[0].scheme.controller.adaptive else None
-        estimate, model = np.stack(both, axis=1)
-        return cls(estimate, model, np.stack([done.lam for done in steps]), stage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +93,8 @@ class Trace:
             raise InputError(f"steps must be a tuple of Step, got {describe(given)}")
         if not given:
             raise InputError("a trace must have at least one step, got none")
-        y, v, computed = (
-            np.stack([getattr(done, name) for done in given]) for name in ("y", "v_applied", "v_computed")
-        )
+        signals = ("y", "v_applied", "v_computed")
+        y, v, computed = (np.stack([getattr(done, name) for done in given]) for name in signals)
         z = None if given[0].z is None else np.stack([done.z for done in given])
         return cls(scheme, y, v, z, computed, applied_known, Models.of_steps(given))
 
@@ -234,11 +205,9 @@ class Trace:
         x, u = self.lifted
         past = (self.scheme.lifting.inputs - 1) * self.scheme.q
         state = np.concatenate([x, u[..., :past]], axis=-1)
-        if self.scheme.controller.adaptive:
-            stages = self._models.stage
-        else:
+        stages = self._models.stage
+        if stages is None:
             stages = np.broadcast_to(self.k.reshape(-1, *[1] * (self.y.ndim - 2)), self.y.shape[:-1])
-        assert stages is not None
         units, size = self.scheme.units, self._size
         if units is not None and size is not None:
             used = self._pair(self._models.model)
@@ -310,11 +279,9 @@ class Trace:
     def _counted(self, k: int) -> Array | None:
         """Return the sizes of [x; u] at k, by which the estimator's weights scale them."""
         scheme, sizes = self.scheme, self._size
-        return (
-            None
-            if scheme.units is None or sizes is None
-            else scheme.units.parameters(scheme.lifting, sizes[k], scheme.q)
-        )
+        if scheme.units is None or sizes is None:
+            return None
+        return scheme.units.parameters(scheme.lifting, sizes[k], scheme.q)
 
     @cached_property
     def margin_lifted(self) -> Array:
@@ -399,5 +366,16 @@ class Trace:
         return dict(zip(names, values, strict=True))
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write ``columns`` with 17 significant digits; the file appears whole or not at all."""
+        """Write ``columns`` with 17 significant digits; the file appears whole or not at all.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> from rhl.paper.published import linear_example
+        >>> with TemporaryDirectory() as folder:
+        ...     linear_example().run().to_csv(f"{folder}/run.csv")
+        ...     print(Path(folder, "run.csv").read_text().splitlines()[0])
+        k,y1,v1,yhat1,z1,z2,z3,weight,lambda
+        """
         write_whole(path, table_text(self.columns()))

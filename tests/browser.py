@@ -1,7 +1,8 @@
 """The built book in Debian's Chromium: what each check has against a page, as sentences.
 
 A page is loaded once for each theme and then seen at three widths. axe-core looks at everything in the light theme; in
-the dark one, where colours are all that differs, at contrast.
+the dark one, where colours are all that differs, at contrast. `one_look` is what a page needs whose template has been
+judged on another page.
 """
 
 import functools
@@ -220,6 +221,14 @@ def violations(page: Page, theme: str) -> list[str]:
         page.evaluate(ALIKE)
         found += [f"at {width} px, {theme}: {violation}" for violation in page.evaluate(VIOLATIONS, OF_COLOUR)]
     return found
+
+
+def one_look(browser: Browser, site: str, name: str, folder: Path) -> list[str]:
+    """What the checks have against the page itself, without the ones that judge its template."""
+    with visit(browser, site, name, THEMES[0]) as (page, found):
+        heavy = weight(page, site, folder)
+        found += [f"weighs {heavy} bytes compressed"] if heavy > BUDGET else []
+        return found + content_faults(page) + too_wide(page)
 
 
 def faults(browser: Browser, site: str, name: str, theme: str, folder: Path) -> list[str]:

@@ -7,9 +7,10 @@ from typing import NoReturn
 import hypothesis
 import pytest
 
+from tests.sizes import size
 from tools import fresh
 
-hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None)
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=size(40, 100))
 hypothesis.settings.load_profile("repeatable")
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -64,6 +64,12 @@ def riccati(A, B, Q, R, QN, weight, horizon: int, x) -> np.ndarray:
     return -(K @ x)
 
 
+def first_input(problem, x) -> np.ndarray:
+    """Return u_0 of a problem V1 from the augmented state x, by the same recursion."""
+    model = problem.model
+    return riccati(model.A, model.B, problem.Q, problem.R, problem.QN, problem.weight, problem.horizon, x)
+
+
 def powers(A, B, horizon: int) -> tuple[np.ndarray, np.ndarray]:
     """Return A_0 .. A_N and B_0 .. B_{N-1} of equation (21)."""
     A, B = exact(A), exact(B)

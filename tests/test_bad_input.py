@@ -14,6 +14,7 @@ from rhl.basis import Features, Polynomials, Terms
 from rhl.closed_loop import advance, replay, start, step
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch, candidates, controllability_margin
+from rhl.controller import Controller
 from rhl.disturbances import GaussianNoise, Outliers, Saturation, through
 from rhl.errors import AssumptionWarning, DivergedError, InputError, NotFiniteError, PlantError
 from rhl.estimator import ProximalEstimator
@@ -29,7 +30,7 @@ from rhl.plants.analysis import detectability, linearise, observable_part, rough
 from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
 from rhl.problems import V1, V2, V3
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
-from rhl.scheme import Controller, Scheme, window_scheme
+from rhl.scheme import Scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 from tests.bad_input import faults, listing, refusal

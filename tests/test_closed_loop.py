@@ -6,8 +6,9 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from rhl.closed_loop import Step, advance, closed_loop, replay, start, step
+from rhl.closed_loop import advance, closed_loop, replay, start, step
 from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.controller import Controller
 from rhl.disturbances import GaussianNoise, Outliers, Saturation
 from rhl.errors import DivergedError, InputError
 from rhl.estimator import ProximalEstimator
@@ -16,8 +17,9 @@ from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, RobotArm
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 from rhl.simulation import simulate
+from rhl.state import Step
 
 SEED = 2010_05891
 STEPS = 12

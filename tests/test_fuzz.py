@@ -41,6 +41,7 @@ from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.trace import Trace
 from tests.app.test_config import ARM, LINEAR
 from tests.bad_input import faults, listing
+from tests.sizes import size
 from tests.test_bad_input import (
     ESTIMATOR,
     KNOWN,
@@ -187,7 +188,7 @@ def test_odd_objects_are_taken_or_refused(name):
         taken_or_refused(name, value)
 
 
-@settings(max_examples=1500, suppress_health_check=list(HealthCheck))
+@settings(max_examples=size(300, 1500), suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(sorted(CALLS)), ANYTHING)
 def test_any_object_is_taken_or_refused(name, value):
     taken_or_refused(name, value)
@@ -326,7 +327,7 @@ def configurations(draw):
     return data
 
 
-@settings(max_examples=120, suppress_health_check=list(HealthCheck))
+@settings(max_examples=size(30, 120), suppress_health_check=list(HealthCheck))
 @given(configurations())
 def test_any_configuration_is_refused_or_runs_without_nan(data):
     refused = None
@@ -355,7 +356,7 @@ def texts(draw):
     return text.encode()
 
 
-@settings(max_examples=150, suppress_health_check=list(HealthCheck))
+@settings(max_examples=size(40, 150), suppress_health_check=list(HealthCheck))
 @given(texts() | st.binary(max_size=60), st.sampled_from(["run", "check"]))
 def test_any_file_is_answered_on_the_command_line(content, command):
     with tempfile.TemporaryDirectory() as folder:
@@ -376,7 +377,7 @@ def test_any_file_is_answered_on_the_command_line(content, command):
             assert "nan" not in table.read_text(encoding="utf-8")
 
 
-@settings(max_examples=80, suppress_health_check=list(HealthCheck))
+@settings(max_examples=size(30, 80), suppress_health_check=list(HealthCheck))
 @given(st.lists(st.sampled_from(WORDS) | st.text(max_size=3), max_size=5))
 def test_any_call_is_answered(arguments):
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

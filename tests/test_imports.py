@@ -52,7 +52,9 @@ CORE = [
     "schedules",
     "disturbances",
     "tracking",
+    "controller",
     "scheme",
+    "state",
     "closed_loop",
     "live",
     "trace",
@@ -91,7 +93,9 @@ PAPER = [
             "kalman",
             "lemma_1",
             "assumption_4",
+            "remark_1",
             "lemma_2",
+            "lemma_2_proof",
             "lemma_3",
             "lemma_4",
             "lemma_5",
@@ -101,6 +105,7 @@ PAPER = [
             "theorem_1",
             "contraction",
             "theorem_1_star",
+            "assumption_5",
             "theorem_2",
             "theorem_3",
             "theorem_3_prime",
@@ -144,8 +149,11 @@ APP = [
             "_keys",
             "_plants",
             "_sections",
+            "_limits",
             "config",
+            "_status",
             "_streams",
+            "_run",
             "_compare",
             "_verify",
         )
@@ -160,7 +168,9 @@ FORBIDDEN = {
     "controllability": {"estimator", "losses", *PLANTS},
     "family": {"estimator", "memory", "losses", "lifting", *PLANTS},
     "horizon": {"estimator", "controllability", "lifting", *PLANTS},
+    "controller": PLANTS,
     "scheme": PLANTS,
+    "state": PLANTS,
     "estimator": {"lifting", *PLANTS},
     "memory": {"lifting", *PLANTS},
     "units": {"estimator", "losses", *PLANTS},
@@ -263,7 +273,7 @@ def test_there_is_something_to_see():
     ],
 )
 def test_a_wrong_import_is_found(statement):
-    source = f"import numpy\nfrom rhl.closed_loop import Step\n{statement}\n"
+    source = f"import numpy\nfrom rhl.state import Step\n{statement}\n"
     assert faults("simulation", source) == ["plotting"]
 
 

@@ -11,7 +11,12 @@ import tomllib
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import nbformat
 import pytest
+from jupyter_cache import get_cache
+from myst_nb.ext.glue import extract_glue_data_cell
+
+from tools import execute, fresh
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFTEST = ROOT / "notebooks/conftest.py"
@@ -69,14 +74,51 @@ def test_a_notebook_that_needs_the_book_fails(tmp_path):
 
 @pytest.mark.parametrize("book", [False, True])
 def test_numbers_are_told_without_the_book(tmp_path, book):
-    """In the book itself what shows them must be there."""
-    (tmp_path / "sitecustomize.py").write_text(refusing().SITECUSTOMIZE, encoding="utf-8")
+    """Python alone prints them; the page that is executed for the book hands them to its prose, without myst_nb."""
+    shutil.copy(CONFTEST, tmp_path)
     environment = {name: value for name, value in os.environ.items() if name != "RHL_BOOK"}
-    environment |= {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])} | ({"RHL_BOOK": "1"} if book else {})
-    code = "from rhl.paper.pages import tell\ntell(largest=0.25, name='x')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    environment |= {"PYTHONPATH": str(ROOT)} | ({"RHL_BOOK": "1"} if book else {})
+    notebook(tmp_path / "tells.ipynb", "from rhl.paper.pages import tell\ntell(largest=0.25, name='x')")
+    options = ["--nbmake", "--overwrite", "-q", "-p", "no:cacheprovider", f"--rootdir={tmp_path}"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, tmp_path], capture_output=True, check=False, env=environment
+    )
+    assert done.returncode == 0
+    executed = nbformat.read(tmp_path / "tells.ipynb", as_version=4)
+    (cell,) = executed.cells
     if book:
-        assert done.returncode == 1
-        assert done.stderr.endswith("ModuleNotFoundError: No module named 'myst_nb'\n")
+        values = {name: output["data"]["text/plain"] for name, output in extract_glue_data_cell(cell)}
+        assert values == {"largest": "0.25", "name": "'x'"}
     else:
-        assert (done.stderr, done.stdout) == ("", "largest = 0.25\nname = x\n")
+        assert [output.text for output in cell.outputs] == ["largest = 0.25\nname = x\n"]
+
+
+def test_a_notebook_is_executed_once_for_the_book_and_the_tests(tmp_path):
+    """Its outputs are in the book's cache; a changed cell, or a changed library, has none there."""
+    for name, text in (("rhl/a.py", "a = 1"), ("environment.lock", ""), ("_config.yml", "")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "notebooks").mkdir()
+    (tmp_path / "book").mkdir()
+    path = tmp_path / "notebooks" / "one.ipynb"
+    notebook(path, "print(1 + 1)")
+    fresh.drop_stale(tmp_path)
+    assert not execute.executed_for_the_book(tmp_path, path)
+    assert execute.main(tmp_path, 1) == 0
+    assert execute.executed_for_the_book(tmp_path, path)
+    assert "2" in str(get_cache(tmp_path / execute.CACHE).merge_match_into_notebook(nbformat.read(path, 4))[1])
+    (tmp_path / "rhl/a.py").write_text("a = 2")
+    assert not execute.executed_for_the_book(tmp_path, path)
+    (tmp_path / "rhl/a.py").write_text("a = 1")
+    notebook(path, "print(1 + 2)")
+    assert not execute.executed_for_the_book(tmp_path, path)
+
+
+def test_a_failing_notebook_is_not_kept(tmp_path):
+    for name in ("notebooks", "book"):
+        (tmp_path / name).mkdir()
+    path = tmp_path / "notebooks" / "fails.ipynb"
+    notebook(path, "assert 1 + 1 == 3")
+    fresh.drop_stale(tmp_path)
+    assert execute.main(tmp_path, 1) != 0
+    assert not execute.executed_for_the_book(tmp_path, path)

@@ -106,6 +106,7 @@ def test_what_goes_wrong_is_said_and_nothing_is_kept(monkeypatch, capsys, tmp_pa
     assert not proofs.RECORD.exists()
 
 
+@pytest.mark.nightly  # `make proofs` is the same, and a step of continuous integration
 @with_coq
 def test_coq_accepts_and_rejects_what_is_on_record():
     found, kept = proofs.record(), formal.record()

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhl.controller import Controller
 from rhl.errors import AssumptionWarning, InputError
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at, epsilons
-from rhl.scheme import Controller
 
 # Exponentials and logarithms of arguments up to 700 multiply rounding by as much.
 ROUNDING = 1e-13

@@ -10,6 +10,7 @@ from rhl.basis import Polynomials, Terms
 from rhl.closed_loop import closed_loop
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.controller import Controller
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
@@ -17,7 +18,7 @@ from rhl.losses import Entropy, LogCosh
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
+from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 
 NAN = np.nan

@@ -13,6 +13,7 @@ from rhl import _engine, simulation
 from rhl._lanes import LANES
 from rhl.closed_loop import advance, closed_loop, start, step
 from rhl.controllability import ConstantMixing, LambdaSearch
+from rhl.controller import Controller
 from rhl.disturbances import GaussianNoise, Saturation
 from rhl.errors import DivergedError, InputError
 from rhl.estimator import ProximalEstimator
@@ -22,7 +23,7 @@ from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, window_scheme
+from rhl.scheme import Scheme, window_scheme
 from rhl.simulation import simulate
 
 SEED = 2010_05891

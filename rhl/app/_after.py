@@ -8,8 +8,8 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.app._finding import Finding, Verdict
-from rhl.closed_loop import Step
 from rhl.errors import InputError
+from rhl.state import Step
 from rhl.trace import Trace
 
 # A smaller margin counts as not controllable, as it does for LambdaSearch by default.

@@ -10,13 +10,12 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 # The rest is imported when the command runs, so that help and refusals do not wait for it.
+from rhl.app._status import BAD_INPUT, INTERRUPTED, OK, STOPPED
 from rhl.app._streams import complain, file_name, print_table, printable, progress
 
 if TYPE_CHECKING:
     from rhl.study.campaign import Backend, Campaign
     from rhl.study.store import Store
-
-_OK, _BAD_INPUT, _STOPPED, _INTERRUPTED = 0, 2, 3, 130
 
 
 class _Help(argparse.Action):
@@ -79,7 +78,7 @@ def _campaign(options: argparse.Namespace) -> int:
         store = _store(options, campaign, text, settings)
     except StoreError as error:
         complain(str(error))
-        return _BAD_INPUT
+        return BAD_INPUT
     tasks, done = len(list(campaign.tasks())), 0
     with store.held(), progress(file.name, tasks) as show:
 
@@ -91,16 +90,16 @@ def _campaign(options: argparse.Namespace) -> int:
         try:
             run(campaign, store, backend, progress=tick)
         except KeyboardInterrupt:
-            status, why = _INTERRUPTED, "interrupted"
+            status, why = INTERRUPTED, "interrupted"
         except (StoreError, LostWorkersError) as error:
-            status, why = _STOPPED, f"{error}; stopped"
+            status, why = STOPPED, f"{error}; stopped"
         else:
-            status, why = _OK, ""
+            status, why = OK, ""
     if status:
         complain(f"{why} after {done} of {tasks} tasks, which are kept; {again} continues")
         return status
     _report(store, options)
-    return _OK
+    return OK
 
 
 def _backend(options: argparse.Namespace) -> Backend:

@@ -32,6 +32,7 @@ from rhl.app._keys import (
 from rhl.basis import Polynomials, Terms
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing
+from rhl.controller import Controller
 from rhl.disturbances import Disturbance, Disturbances, GaussianNoise, Offset, Outliers, Saturation
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
@@ -42,7 +43,7 @@ from rhl.model import SignalModel
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import rough_model
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, Schedule
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 
 
 class LiftingSection(Section):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 # The rest is imported by the commands that need it, so that help and refusals do not wait for numpy.
 from rhl import __version__
 from rhl.app import _campaign
+from rhl.app._status import BAD_INPUT, BROKEN_PIPE, INTERRUPTED, MISSED, OK
 from rhl.app._streams import (
     STDOUT,
     check_targets,
@@ -27,27 +27,18 @@ from rhl.app._streams import (
     open_streams,
     print_table,
     printable,
-    progress,
     target_name,
-    undisturbed,
-    width_of,
     words_of,
 )
-from rhl.errors import AssumptionWarning, DivergedError, InputError, LostControllabilityError, NotSolvedError
+from rhl.errors import AssumptionWarning, InputError
 
 if TYPE_CHECKING:
     from types import ModuleType
 
     from matplotlib.figure import Figure
 
-    from rhl.app.diagnosis import Diagnosis
-    from rhl.paper.published import Experiment
     from rhl.trace import Trace
 
-OK, MISSED, BAD_INPUT, STOPPED, INTERRUPTED, BROKEN_PIPE = 0, 1, 2, 3, 130, 141
-
-_CHECK = 140  # the width of the table of `rhl check`
-_TOO_LARGE = "the run must fit into memory"
 # Packages that some commands need, and the extra that brings them.
 _EXTRAS = {
     **{"rich": "app", "matplotlib": "plot", "control": "paper", "pandas": "paper", "sympy": "paper", "flint": "paper"},
@@ -93,8 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     except MemoryError as error:
         from rhl._checks import reason
+        from rhl.app._run import TOO_LARGE
 
-        complain(f"{_TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon")
+        complain(f"{TOO_LARGE}, got {reason(error)}; stack less, or shorten window or horizon")
         return BAD_INPUT
     except KeyboardInterrupt:
         complain("interrupted")
@@ -253,11 +245,12 @@ def _reproduce(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from rhl._files import header
+    from rhl.app._run import watched
     from rhl.app.config import load
 
     experiment = load(options.config).experiment(allow_python=options.allow_python)
     _check_targets(options)
-    trace, status, why = _watched(experiment)
+    trace, status, why = watched(experiment)
     rows, output = len(trace or ()), options.output
     kept = f"the {rows} rows before it are in {named(output)}"
     if trace:
@@ -275,79 +268,27 @@ def _run(options: argparse.Namespace) -> int:
     return status
 
 
-def _watched(experiment: Experiment) -> tuple[Trace | None, int, str]:
-    """Run under a progress bar; return the rows so far, the exit status, and why it stopped early if it did."""
-    from rhl._checks import reason
-
-    trace: Trace | None = None
-    with progress(experiment.name, experiment.steps) as show:
-
-        def tick(so_far: Trace) -> None:
-            nonlocal trace
-            trace = so_far
-            show(len(so_far))
-
-        try:
-            return experiment.run(tick), OK, ""
-        except DivergedError as error:
-            return error.trace, STOPPED, "; ".join(filter(None, (str(error), _heavy(experiment, error))))
-        except (LostControllabilityError, NotSolvedError) as error:
-            why = str(error)
-        except MemoryError as error:
-            why = f"{_TOO_LARGE}, got {reason(error)}"
-        except KeyboardInterrupt:
-            undisturbed()
-            return trace, INTERRUPTED, f"the run was interrupted at k = {len(trace or ())}"
-    return trace, STOPPED, f"the run stopped at k = {len(trace or ())}: {why}"
-
-
-def _heavy(experiment: Experiment, error: DivergedError) -> str:
-    """Return which key of the file made the terminal weight leave the range of float64, if one did."""
-    from rhl.app._sections import too_heavy
-
-    controller, k = experiment.scheme.controller, error.k
-    if not error.what.startswith("weight "):
-        return ""
-    if controller.adaptive:
-        k = int(error.trace.steps[-1].stage) + 1 if error.trace else 0
-    return too_heavy(controller, k)
-
-
 def _check(options: argparse.Namespace) -> int:
+    from rhl.app._run import print_findings, print_legend, watched
     from rhl.app.config import load
     from rhl.app.diagnosis import Diagnosis, diagnose, diagnose_run
 
     experiment = load(options.config).experiment(allow_python=options.allow_python)
     errs = {"sensor": experiment.sensor, "actuator": experiment.actuator, "load": experiment.load}
     found = diagnose(experiment.plant, experiment.scheme, z0=experiment.z0, **errs)
-    _tell(found, f"{experiment.name}: before a run")
+    print_findings(found, f"{experiment.name}: before a run")
     status, why = OK, ""
     if options.run:
-        trace, status, why = _watched(experiment)
+        trace, status, why = watched(experiment)
         if trace:
             after = diagnose_run(trace)
-            _tell(after, f"{experiment.name}: after {len(trace)} steps")
+            print_findings(after, f"{experiment.name}: after {len(trace)} steps")
             found = Diagnosis((*found.findings, *after.findings))
-    width = width_of(sys.stdout, _CHECK)
-    for line in found.legend():
-        print(textwrap.fill(line, width, subsequent_indent="  "))
+    print_legend(found)
     if why:
         complain(why)
         return status
     return OK if found.sound else MISSED
-
-
-def _tell(diagnosis: Diagnosis, title: str) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(title=escape(title), title_justify="left", show_lines=False)
-    table.add_column("verdict", no_wrap=True)
-    table.add_column("what", max_width=44)
-    table.add_column("found")
-    for finding in diagnosis.findings:
-        table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
-    print_table(table, _CHECK, sys.stdout)
 
 
 def _new(options: argparse.Namespace) -> int:

@@ -64,9 +64,31 @@ class WeightedSquares:
         return x @ self.weight if np.ndim(self.weight) == 2 else np.asarray(self.weight * x)
 
 
+@dataclass(frozen=True, eq=False)
+class _Robust:
+    """What losses for outliers share: squares of residuals below a scale, a slope that stays bounded above it."""
+
+    scale: float = 1.0
+    weight: Array | float = 1.0
+
+    lower = -np.inf
+    assumption_6 = True
+    convex_in_second = False
+    file_loss = ("scale",)
+    file_generator = None
+
+    def __post_init__(self) -> None:
+        positive("scale", self.scale)
+        object.__setattr__(self, "weight", _entrywise(self.weight))
+
+    def squares(self) -> WeightedSquares:
+        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
+        return WeightedSquares(self.weight)
+
+
 @registered
 @dataclass(frozen=True, eq=False)
-class LogCosh:
+class LogCosh(_Robust):
     r"""The loss :math:`c(e) = \sum_i 2 w_i s^2 \log\cosh(e_i / s)`: small residuals squared, large ones linear.
 
     Source: Remark 2 names outliers as a reason for another loss than squares; the function is standard in robust
@@ -81,23 +103,7 @@ class LogCosh:
         :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
     """
 
-    scale: float = 1.0
-    weight: Array | float = 1.0
-
-    lower = -np.inf
-    assumption_6 = True
-    convex_in_second = False
     file_name = "log-cosh"
-    file_loss = ("scale",)
-    file_generator = None
-
-    def __post_init__(self) -> None:
-        positive("scale", self.scale)
-        object.__setattr__(self, "weight", _entrywise(self.weight))
-
-    def squares(self) -> WeightedSquares:
-        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
-        return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""
@@ -123,7 +129,7 @@ class LogCosh:
 
 @registered
 @dataclass(frozen=True, eq=False)
-class PseudoHuber:
+class PseudoHuber(_Robust):
     r"""The loss :math:`c(e) = \sum_i 2 w_i \delta^2 (\sqrt{1 + (e_i/\delta)^2} - 1)`, a smooth version of Huber's.
 
     Source: Charbonnier et al., Deterministic edge-preserving regularization in computed imaging, IEEE Trans. Image
@@ -138,23 +144,7 @@ class PseudoHuber:
         :math:`w_i`, positive; as the scale grows, c tends to the weighted squares of the same weights.
     """
 
-    scale: float = 1.0
-    weight: Array | float = 1.0
-
-    lower = -np.inf
-    assumption_6 = True
-    convex_in_second = False
     file_name = "pseudo-huber"
-    file_loss = ("scale",)
-    file_generator = None
-
-    def __post_init__(self) -> None:
-        positive("scale", self.scale)
-        object.__setattr__(self, "weight", _entrywise(self.weight))
-
-    def squares(self) -> WeightedSquares:
-        """Return its limit for small residuals, weighted squares, whose solution is a good starting point."""
-        return WeightedSquares(self.weight)
 
     def value(self, x: Array) -> Array:
         """Return c(x), shape (...)."""

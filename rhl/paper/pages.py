@@ -25,22 +25,23 @@ def tell(**values: float | int | str) -> None:
     shows NaN.
     """
     in_book = "RHL_BOOK" in os.environ
-    try:
-        from myst_nb import glue  # imported here, because only the book's extra installs it
-    except ImportError:
-        if in_book:
-            raise
-        glue = None
-
     for name, value in values.items():
         plain = value if isinstance(value, str) else value.item() if hasattr(value, "item") else value
         if not isinstance(plain, str) and not math.isfinite(plain):
             raise InputError(f"{name} must be finite to appear in the text, got {plain}")
-        if glue is not None:
-            glue(name, plain, display=False)
-        if not in_book:
+        if in_book:
+            _glue(name, plain)
+        else:
             # Outside the book the prose shows only names, so a reader of the notebook needs the numbers here.
             print(f"{name} = {plain}")
+
+
+def _glue(name: str, value: float | int | str) -> None:
+    """Display a value as myst_nb's ``glue`` does, which needs Jupyter alone to be written, and the book to be read."""
+    from IPython.display import display
+
+    record = {"application/papermill.record/text/plain": repr(value)}
+    display(record, raw=True, metadata={"scrapbook": {"name": name, "mime_prefix": "application/papermill.record/"}})
 
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -11,6 +11,7 @@ import numpy as np
 from rhl._checks import Array, choice, instance, real_array
 from rhl.closed_loop import replay
 from rhl.controllability import ConstantMixing
+from rhl.controller import Controller
 from rhl.disturbances import Disturbances
 from rhl.errors import InputError
 from rhl.estimator import ProximalEstimator
@@ -18,7 +19,7 @@ from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants import LinearPlant, Plant, RobotArm
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 

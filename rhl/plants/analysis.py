@@ -40,6 +40,12 @@ class Modes:
         The smallest singular value of :math:`[\lambda I - F,\; G]`, or of :math:`[\lambda I - F;\; H]`, at each.
     scale : float
         The norm of [F, G] or [F; H], to which the margins are compared.
+
+    Examples
+    --------
+    >>> modes = stabilizability([[1.5, 0.0], [0.0, 0.5]], [[0.0], [1.0]])
+    >>> modes.eigenvalues.real, modes.margins, modes.holds
+    (array([1.5]), array([0.]), False)
     """
 
     eigenvalues: NDArray[np.complex128]
@@ -82,6 +88,12 @@ def detectability(F: ArrayLike, H: ArrayLike) -> Modes:
 
     ``holds`` of the result says whether (F, H), shapes (n, n) and (p, n), is detectable, as Assumption 1 requires.
     InputError if the shapes do not fit or an entry is not finite.
+
+    Examples
+    --------
+    >>> F = [[1.1, 0.0], [0.0, 1.2]]
+    >>> detectability(F, [[1.0, 1.0]]).holds, detectability(F, [[1.0, 0.0]]).holds
+    (True, False)
     """
     F = _single("F", square("F", F))
     return _modes(F.T, _single("H", real_array("H", H, (None, len(F)))).T)
@@ -209,6 +221,11 @@ def observable_part(plant: LinearPlant) -> LinearPlant:
 
     It is in coordinates z_o = V'z with V orthonormal from an orthogonal staircase: its outputs from V'z(0) are those of
     the plant from z(0). InputError if H is zero or the plant is a batch.
+
+    Examples
+    --------
+    >>> observable_part(LinearPlant([[1.1, 0.0], [1.0, 0.9]], [[1.0], [0.0]], [[1.0, 0.0]])).n
+    1
     """
     instance("plant", plant, LinearPlant)
     V, _ = observable_basis(plant.F, plant.H)

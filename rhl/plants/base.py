@@ -33,7 +33,14 @@ class Plant(Protocol):
 
 
 def check_lengths(**vectors: tuple[ArrayLike, int]) -> list[Array]:
-    """Return finite vectors as arrays; refuse those whose last axis does not have the given length."""
+    """Return finite vectors as arrays; refuse those whose last axis does not have the given length.
+
+    Examples
+    --------
+    >>> check_lengths(z=([1.0, 2.0], 3))
+    Traceback (most recent call last):
+    rhl.errors.InputError: z must have shape (..., 3) for this plant, got (2,)
+    """
     arrays = []
     for name, (vector, length) in vectors.items():
         array = real_array(name, vector)
@@ -44,6 +51,13 @@ def check_lengths(**vectors: tuple[ArrayLike, int]) -> list[Array]:
 
 
 def check_plant(value: Any) -> None:
-    """Refuse a value that is not a plant."""
+    """Refuse a value that is not a plant.
+
+    Examples
+    --------
+    >>> check_plant([[1.0]])
+    Traceback (most recent call last):
+    rhl.errors.InputError: plant must be a plant (LinearPlant, ...
+    """
     kind = "a plant (LinearPlant, FunctionPlant, or your own class with n, q, p, step and output)"
     members("plant", value, kind, "n", "q", "p", "step", "output")

@@ -31,6 +31,12 @@ class ExamplePlant:
         Name and unit of each entry of z, v and y.
     h : float
         Sampling time in seconds.
+
+    Examples
+    --------
+    >>> tanks = example("quadruple-tank")
+    >>> tanks.plant.n, tanks.h, tanks.inputs
+    (4, 5.0, ('pump 1 (V)', 'pump 2 (V)'))
     """
 
     plant: Plant
@@ -197,6 +203,12 @@ def quadruple_tank(valves: Valves = "minimum-phase", h: float = 5.0) -> LinearPl
     Source: K. H. Johansson, "The quadruple-tank process: a multivariable laboratory process with an adjustable zero",
     IEEE Transactions on Control Systems Technology 8(3), 2000, doi 10.1109/87.845876: equations, all parameters but h,
     and the two operating points, there P- and P+, with time constants of 62, 90, 23, 30 s and 63, 91, 39, 56 s.
+
+    Examples
+    --------
+    >>> plant = quadruple_tank("nonminimum-phase")
+    >>> plant.n, plant.q, plant.p
+    (4, 2, 2)
     """
     return _sampled(*_tanks(valves), h)
 
@@ -212,6 +224,12 @@ def held_pump(h: float = 5.0) -> LinearPlant:
     with the sampling time h (s), positive; the second is not controllable.
 
     Source: the rig of :func:`quadruple_tank` at its nonminimum-phase operating point, tanks 2 and 4 only.
+
+    Examples
+    --------
+    >>> plant = held_pump()
+    >>> plant.G[1], bool(plant.F[1, 1] < 1)  # no input reaches the second state, which decays
+    (array([0.]), True)
     """
     A, B, C = _tanks("nonminimum-phase")
     return _sampled(A[np.ix_([1, 3], [1, 3])], B[[1, 3], 1:], C[1:, [1, 3]], h)
@@ -232,6 +250,12 @@ def flexible_shaft(h: float = 0.1) -> LinearPlant:
     Automatica 34(4), 1998, pages 451 to 461; all parameters and the sampling time as in the Model Predictive Control
     Toolbox's example of it, "Design MPC Controller for Position Servomechanism" (mathworks.com), whose companion "DC
     Servomotor with Constraint on Unmeasured Output" prints the poles 0, -9.79 and -0.705 +- 7.31i 1/s.
+
+    Examples
+    --------
+    >>> eigenvalues = np.linalg.eigvals(flexible_shaft().F)
+    >>> bool(np.isclose(np.max(np.abs(eigenvalues)), 1.0))  # the angle integrates
+    True
     """
     stiffness, motor, resistance, ratio = 1280.2, 10.0, 20.0, 20.0  # N m/rad, N m/A, ohm, 1
     J_M, beta_M, beta_L = 0.5, 0.1, 25.0  # kg m^2, N m s/rad, N m s/rad
@@ -260,6 +284,15 @@ def reversing_vehicle(h: float = 0.1) -> LinearPlant:
 
     Source: K. J. Astrom and R. M. Murray, Feedback Systems, 2nd edition, 2021, the running example of vehicle steering;
     a, b and s as in its companion notebook of python-control's examples ("Vehicle steering", example 10.11).
+
+    Examples
+    --------
+    >>> plant, z, y = reversing_vehicle(), np.zeros(2), []
+    >>> for _ in range(30):
+    ...     z = plant.step(z, np.array([0.1]))
+    ...     y.append(z[0])
+    >>> bool(y[0] < 0 < y[-1])  # first in the opposite direction
+    True
     """
     speed, offset, wheelbase = -2.0, 1.5, 3.0
     A = np.array([[0, speed], [0, 0]])

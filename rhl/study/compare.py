@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, choice, integer, reason
+from rhl.controller import Controller
 from rhl.disturbances import Saturation
 from rhl.errors import DivergedError, InputError
 from rhl.estimator import ProximalEstimator
@@ -17,7 +18,7 @@ from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.plants.linear import LinearPlant
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme, default_scheme, window_scheme
+from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
 from rhl.study.adaptive import adaptive_lq
 from rhl.study.deepc import deepc

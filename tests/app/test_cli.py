@@ -14,6 +14,7 @@ import pytest
 
 from rhl import _files
 from rhl.app import cli
+from rhl.app._status import STOPPED
 from rhl.app.config import schema
 from rhl.errors import InputError, LostControllabilityError, NotSolvedError
 from rhl.paper import published
@@ -124,7 +125,7 @@ def test_bad_calls(tmp_path, monkeypatch, capsys, arguments, sentence):
 
 def test_overflow_says_where_and_keeps_the_rows(config, tmp_path, capsys):
     table = tmp_path / "trace.csv"
-    assert cli.main(["run", str(config(("1.02", "1e30"))), "--output", str(table)]) == cli.STOPPED
+    assert cli.main(["run", str(config(("1.02", "1e30"))), "--output", str(table)]) == STOPPED
     rows, message = rows_of(table), capsys.readouterr().err
     assert 0 < len(rows) < 42
     assert f"at k = {len(rows)}:" in message
@@ -134,7 +135,7 @@ def test_overflow_says_where_and_keeps_the_rows(config, tmp_path, capsys):
 
 def test_overflow_at_the_first_step_leaves_the_heading(config, tmp_path, capsys):
     table = tmp_path / "trace.csv"
-    assert cli.main(["run", str(config(("-10]", "1e200]"))), "--output", str(table)]) == cli.STOPPED
+    assert cli.main(["run", str(config(("-10]", "1e200]"))), "--output", str(table)]) == STOPPED
     assert table.read_text(encoding="utf-8") == "k,y1,v1,yhat1,z1,z2,z3,weight,lambda\n"
     assert "at k = 0:" in capsys.readouterr().err
 
@@ -232,7 +233,7 @@ def test_a_run_that_stops_keeps_its_rows(config, tmp_path, capsys, monkeypatch, 
         raise error("no lambda")
 
     monkeypatch.setattr(Experiment, "run", lost)
-    assert cli.main(["run", str(config()), "--output", str(table)]) == cli.STOPPED
+    assert cli.main(["run", str(config()), "--output", str(table)]) == STOPPED
     assert len(rows_of(table)) == 7
     assert "stopped at k = 7: no lambda" in capsys.readouterr().err
 
@@ -290,7 +291,7 @@ def test_check_tells_a_sound_configuration_from_an_unsound_one(config, tmp_path,
 def test_check_says_how_a_run_went_that_stopped(config, tmp_path, capsys):
     path = tmp_path / "far.toml"
     path.write_text(LINEAR.replace("1.02", "1e30"), encoding="utf-8")
-    assert cli.main(["check", str(path), "--run"]) == cli.STOPPED
+    assert cli.main(["check", str(path), "--run"]) == STOPPED
     streams = capsys.readouterr()
     assert "after" in streams.out
     assert "left the range of floating-point numbers" in streams.err

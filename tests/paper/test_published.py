@@ -147,17 +147,7 @@ def test_fed_back_inputs(back):
 @pytest.mark.parametrize(("k", "noted"), [(12, -0.0052466), (13, 0.0662656), (14, 0.0540794)])
 def test_unexplained_inputs_are_no_rounding(back, k, noted):
     done, noted_digits = back.steps[k], 1e-7
-    problem = done.problem
-    exact = oracle.riccati(
-        problem.model.A,
-        problem.model.B,
-        problem.Q,
-        problem.R,
-        problem.QN,
-        problem.weight,
-        problem.horizon,
-        done.plan.x[0],
-    )
+    exact = oracle.first_input(done.problem, done.plan.x[0])
     assert back.v_computed[k, 0] - curve("linear_u")[k] == pytest.approx(noted, abs=noted_digits)
     assert float(exact[0]) - curve("linear_u")[k] == pytest.approx(noted, abs=noted_digits)
 

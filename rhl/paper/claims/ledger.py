@@ -11,13 +11,16 @@ from typing import Any
 from rhl.errors import InputError
 from rhl.paper.claims import (
     assumption_4,
+    assumption_5,
     certified,
     lemma_1,
     lemma_2,
+    lemma_2_proof,
     lemma_3,
     lemma_4,
     lemma_5,
     lemma_6,
+    remark_1,
     simulations,
     theorem_1,
     theorem_1_star,
@@ -36,10 +39,13 @@ CLAIMS: tuple[Claim, ...] = tuple(
     claim
     for module in (
         assumption_4,
+        remark_1,
         lemma_1,
         lemma_2,
+        lemma_2_proof,
         lemma_3,
         theorem_1,
+        assumption_5,
         theorem_1_star,
         lemma_4,
         lemma_5,
@@ -75,6 +81,14 @@ def select(ids: Sequence[str]) -> list[Claim]:
             f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}{hint}"
         )
     return [claim for claim in CLAIMS if not wanted or any(fnmatchcase(claim.id, id) for id in wanted)]
+
+
+def of_page(name: str) -> list[Claim]:
+    """Return the claims whose page is the notebook of this name, such as "05-lemma-1"; InputError if there is none."""
+    found = [claim for claim in CLAIMS if claim.page == f"notebooks/{name}.ipynb"]
+    if not found:
+        raise InputError(f"name must be that of a notebook with claims, such as '05-lemma-1', got {name!r}")
+    return found
 
 
 def run(

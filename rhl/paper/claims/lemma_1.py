@@ -1,4 +1,4 @@
-"""Lemma 1: V3 and V2 are quadratic with linear solutions; and Assumption 5 follows from a rank condition."""
+"""Lemma 1: V3 and V2 are quadratic with linear solutions; and the plans for V1, V2 and V3 are optimal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from rhl._checks import Array
-from rhl.errors import InfeasibleError
 from rhl.horizon import Plan, solve
 from rhl.model import PredictorMaps
 from rhl.paper.claims.claim import Claim, Control, Effort, Evidence, worst_of
@@ -91,7 +90,8 @@ def partly_steered(rng: np.random.Generator, maps: PredictorMaps, least: int = 0
     return PredictorMaps(maps.A, onto @ maps.B), onto
 
 
-def _draw(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
+def random_case(rng: np.random.Generator) -> tuple[PredictorMaps, Array, Array]:
+    """Draw general predictor maps of up to three states and inputs, and weights Q and R for them."""
     n, q = (int(size) for size in rng.integers(1, 4, 2))
     maps = random_maps(rng, n, q, int(rng.integers(n, 7)))
     return maps, random_weight(rng, n), random_weight(rng, q)
@@ -104,7 +104,7 @@ def check_linear(effort: Effort, bend: float = 0.0) -> Evidence:
     """
     rng, gaps = effort.rng("lemma-1.a"), []
     for _ in range(effort.cases):
-        maps, Q, R = _draw(rng)
+        maps, Q, R = random_case(rng)
         maps, onto = partly_steered(rng, maps)
         x, r = rng.normal(size=(2, 3, maps.n))
         x[2], r[2] = x[0] + 2 * x[1], r[0] + 2 * r[1]
@@ -138,7 +138,7 @@ def check_quadratic(effort: Effort, cubic: float = 0.0) -> Evidence:
     """
     rng, gaps = effort.rng("lemma-1.a.value"), []
     for _ in range(max(1, effort.cases // 4)):
-        maps, Q, R = _draw(rng)
+        maps, Q, R = random_case(rng)
         maps, onto = partly_steered(rng, maps)
         n, reached = maps.n, np.hstack([(np.eye(maps.n) - onto) @ maps.A[-1], onto])
 
@@ -237,85 +237,11 @@ def _shortest(maps: PredictorMaps, end: Array, x: Array) -> Array:
     return independent_solution(maps, np.eye(maps.n), np.eye(maps.q), x, end)[0]
 
 
-def check_rank(effort: Effort, of: str, full: bool = True) -> Evidence:
-    """Find the shortfall of the rank of C(k) from the remark to Assumption 5.
-
-    ``of`` {"column", "row"}: full column rank, as printed, or full row rank.
-    ``full`` False: draw maps whose [B_0, ..., B_{N-1}] has a rank below n.
-    """
-    rng, short = effort.rng("assumption-5.rank"), []
-    for _ in range(effort.cases):
-        maps, Q, R = _draw(rng)
-        if not full:
-            maps = PredictorMaps(maps.A, maps.B * (np.arange(maps.n)[:, None] > 0))
-        C = stacked_form(maps, Q, R)[1]
-        short.append((C.shape[1] if of == "column" else C.shape[0]) - int(np.linalg.matrix_rank(C)))
-    return Evidence(len(short), float(max(short)), 0.0, "a rank is an integer; the maps are well conditioned")
-
-
-def gain_and_bound(maps: PredictorMaps, Q: Array, R: Array) -> tuple[float, float]:
-    """Return the norm of V3's gain, from [x; r] to all nu_i and xi_i with i < N, and its bound.
-
-    ``maps``: with [B_0, ..., B_{N-1}] of rank n.
-    """
-    H, C, B = stacked_form(maps, Q, R)
-    n = maps.n
-    weights = np.linalg.eigvalsh(H[:-n, :-n])
-    bound = np.sqrt(weights[-1] / weights[0]) * np.linalg.norm(np.linalg.pinv(C) @ B, 2)
-    gain = independent_solution(maps, Q, R, np.zeros(n), np.zeros(n))[1][:-n]
-    return float(np.linalg.norm(gain, 2)), float(bound)
-
-
-def check_bound(effort: Effort, full: bool = True) -> Evidence:
-    """Find the excess of V3's gains over the bound from a feasible gain.
-
-    The gain C'(CC')^-1 B is feasible, so the optimal one has w'Hw no larger, and is at most sqrt(cond H) times as large
-    (H on the entries that are free).
-
-    ``full`` False: violate the rank condition; V3 is then infeasible for some (x, r), and no bound exists.
-    """
-    rng, excess = effort.rng("assumption-5.bound"), []
-    for _ in range(effort.cases):
-        maps, Q, R = _draw(rng)
-        n = maps.n
-        if not full:
-            maps = PredictorMaps(maps.A, maps.B * (np.arange(n)[:, None] > 0))
-            try:
-                solve(V3(maps, Q, R, np.eye(n)[0], maps.horizon), np.zeros(n))
-            except InfeasibleError:
-                return Evidence(1, np.inf, 0.0, "V3 is infeasible")
-        gain, bound = gain_and_bound(maps, Q, R)
-        excess.append(gain / bound - 1)
-    return Evidence(len(excess), worst_of(excess), 1e-9, "rounding of the two norms")
-
-
-def weakly_reached(delta: float) -> PredictorMaps:
-    """Return the powers of A = diag(2, 0), B = (1, delta) over two steps: delta is the second state's input gain."""
-    A, B = np.diag([2.0, 0.0]), np.array([[1.0], [delta]])
-    return PredictorMaps(np.stack([np.eye(2), A, A @ A]), np.stack([B, A @ B]))
-
-
-def check_implication(effort: Effort, least: float = 1e-4) -> Evidence:
-    """Measure V3's gains, while V1's stay bounded, as the input gain of the second state tends to zero.
-
-    ``effort`` is not used, since nothing is random. ``least``: the smallest delta.
-    """
-    ours, theirs = [], []
-    for delta in np.geomspace(1.0, least, 7):
-        maps = weakly_reached(float(delta))
-        for x in np.eye(2):
-            ours += [np.max(np.abs(solve(V1(maps, 1.0, 1.0, 1.0, w, 2), x).u)) for w in (1.0, 1e3, 1e6, 1e9)]
-            theirs.append(np.max(np.abs(solve(V3(maps, 1.0, 1.0, x, 2), np.zeros(2)).u)))
-    if max(ours) > 10:
-        return Evidence(0, np.nan, why="V1's gains are not bounded, so nothing is refuted")
-    return Evidence(len(theirs), float(max(theirs)), 1e3, "a hundred times the bound of V1's gains")
-
-
 def check_optimality(effort: Effort, which: str, nudge: float = 0.0) -> Evidence:
     """Recompute the certificate of the library's plan for a problem. ``nudge``: change of the plan's inputs."""
     rng, worst = effort.rng(which), []
     for _ in range(effort.cases):
-        maps, Q, R = _draw(rng)
+        maps, Q, R = random_case(rng)
         x, N = rng.normal(size=maps.n), maps.horizon
         problem: Problem
         if which == "V1":
@@ -381,56 +307,6 @@ CLAIMS: tuple[Claim, ...] = (
         control=Control("another minimiser than the one of least norm", lambda effort: check_v2(effort, sample=True)),
         uses=("lemma-1.a", "eq-10"),
         proof=_PROOF,
-    ),
-    _claim(
-        "assumption-5",
-        "Assumption 5",
-        "new",
-        "The gains of the solutions of V3 and of V1 along the closed loop stay below one bound.",
-        reason="A hypothesis about an infinite run; assumption-5.bound checks a condition that implies part (a).",
-        kind="hypothesis",
-    ),
-    _claim(
-        "assumption-5.rank",
-        "Assumption 5",
-        "new",
-        "If [B_0, ..., B_{N-1}] has rank n, then the constraint matrix C(k) of V3 has full rank.",
-        method="numerical sampling",
-        recorded="holds-corrected",
-        stated=lambda effort: check_rank(effort, "column"),
-        corrected=lambda effort: check_rank(effort, "row"),
-        control=Control("maps of a lower rank", lambda effort: check_rank(effort, "row", full=False)),
-        reason="The rank must be the full row rank, not the column rank, and the feasible gain is C'(CC')^-1 B, not "
-        "(C'C)^-1 C'B.",
-        uses=("eq-11",),
-        proof="notebooks/05-lemma-1.ipynb#proof-row-rank",
-    ),
-    _claim(
-        "assumption-5.bound",
-        "Assumption 5",
-        "new",
-        "Under that rank condition the gains of V3 obey an explicit bound.",
-        method="numerical sampling",
-        recorded="holds",
-        stated=check_bound,
-        control=Control("maps of a lower rank", lambda effort: check_bound(effort, full=False)),
-        uses=("assumption-3", "assumption-5.rank", "lemma-1.a"),
-        proof="notebooks/05-lemma-1.ipynb#gain-bound",
-    ),
-    _claim(
-        "assumption-5.implies",
-        "Assumption 5",
-        "new",
-        "If Assumption 5 bounds gain matrices, part (b) implies part (a), as the proof of Theorem 1 uses.",
-        method="numerical sampling",
-        recorded="refuted",
-        stated=check_implication,
-        control=Control("a state with a smaller input gain", lambda effort: check_implication(effort, 1e-5)),
-        instance=Control("a state with an input gain of at least a hundredth", partial(check_implication, least=1e-2)),
-        reason="With A = diag(2, 0), B = (1, delta) the gains of V1 (and of V2) stay bounded as delta -> 0, those of "
-        "V3 with respect to r grow like 1/delta. As a bound on the plans along the loop, (b) does imply (a) "
-        "(assumption-5.implies-met), but then Lemma 2 fails (lemma-2.met). This book reads (a) as a bound on the gain "
-        "matrices, which holds if and only if inf s+ > 0 (assumption-5.s-plus).",
     ),
     _claim(
         "eq-3",

@@ -122,13 +122,6 @@ def check_quarter(effort: Effort, share: float = 0.25) -> Evidence:
     return Evidence(len(excess), worst_of(excess), _ROUNDING, "rounding; that of x_N is taken off at small epsilon")
 
 
-def sharpness(effort: Effort) -> float:
-    """Return the largest ratio (x_N'Q_N x_N - V2) / (epsilon rho) over random maps and a grid of epsilon."""
-    rng = effort.rng("lemma-3.sharp")
-    cases = [draw(rng) for _ in range(effort.cases)]
-    return max(ratio(*case, epsilon, 1.0)[0] for case in cases for epsilon in 10.0 ** np.linspace(-3, 3, 13))
-
-
 CLAIMS: tuple[Claim, ...] = (
     _claim(
         "lemma-3",

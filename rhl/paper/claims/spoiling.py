@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import sympy as sp
 
-# A row of numbers at lambda = 0, and its increment up to lambda = 1.
-Line = tuple[list[Fraction], list[Fraction]]
-
 
 def spoiling_pairs(n: int, candidates: Sequence[Fraction]) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
     r"""Build pairs (A_u, b_u) and (A_c, b_c), the second controllable, for which n(n+1)/2 - 1 given candidates are bad.

@@ -8,6 +8,7 @@ from functools import cache, partial
 import numpy as np
 
 from rhl._checks import Array
+from rhl.controller import Controller
 from rhl.estimator import ProximalEstimator
 from rhl.horizon import solve
 from rhl.lifting import DelayLifting
@@ -19,7 +20,7 @@ from rhl.plants import LinearPlant
 from rhl.plants.analysis import signal_model
 from rhl.problems import V1
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 

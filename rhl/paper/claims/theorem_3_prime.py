@@ -9,6 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from rhl._checks import Array
+from rhl.controller import Controller
 from rhl.estimator import ProximalEstimator
 from rhl.lifting import DelayLifting
 from rhl.losses import WeightedSquares
@@ -21,7 +22,7 @@ from rhl.paper.claims.theorem_3 import check_never_acts, end_over_peak
 from rhl.plants import FunctionPlant, LinearPlant
 from rhl.plants.analysis import observability_index, signal_model
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.controllability import controllability_margin, controllability_matrix
+from rhl.controller import Controller
 from rhl.errors import DivergedError
 from rhl.family import ModelFamily
 from rhl.lifting import DelayLifting
@@ -21,7 +22,7 @@ from rhl.paper.claims.theorem_4_grid import SIZES, check_grid, check_resultant, 
 from rhl.plants import LinearPlant
 from rhl.plants.analysis import observability, pbh, signal_model
 from rhl.schedules import PowerDecay
-from rhl.scheme import Controller, Scheme
+from rhl.scheme import Scheme
 from rhl.simulation import simulate
 from rhl.trace import Trace
 

@@ -10,11 +10,12 @@ from rhl.paper.claims import growing
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.estimation import draw_model, estimate, spiral_estimates, trajectory
 from rhl.paper.claims.proximal import Squares
+from tests.sizes import SEEDS
 
 CLAIMS = (*growing.LEMMA, *growing.THEOREM)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -88,6 +88,14 @@ def test_a_pattern_selects_every_id_that_it_matches():
         ledger.select(["certifed.*", "eq-1"])
 
 
+def test_a_page_has_its_claims_of_every_module():
+    found = {claim.test for claim in ledger.of_page("05-lemma-1")}
+    assert found == {"tests/paper/claims/test_lemma_1.py", "tests/paper/claims/test_assumption_5.py"}
+    assert {claim.page for claim in ledger.of_page("05-lemma-1")} == {"notebooks/05-lemma-1.ipynb"}
+    with pytest.raises(InputError, match="name must be that of a notebook with claims, such as '05-lemma-1', got '5'"):
+        ledger.of_page("5")
+
+
 def test_json_names_everything():
     judgements = ledger.run(ledger.select(["eq-1", "eq-22"]), Effort(3, 5))
     written = ledger.as_json(judgements, Effort(3, 5))

@@ -11,11 +11,12 @@ from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims import lemma_1
 from rhl.paper.claims.claim import Effort, judge
 from rhl.problems import V2, V3
+from tests.sizes import SEEDS
 
 ROUNDING = 1e-9  # well conditioned systems of at most twenty unknowns
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))
@@ -97,13 +98,3 @@ def test_out_of_reach_is_refused():
     maps = PredictorMaps(np.stack([np.eye(2)] * 3), np.array([[[1.0], [0.0]]] * 2))
     with pytest.raises(InfeasibleError, match="no input sequence of 2 steps"):
         solve(V3(maps, 1.0, 1.0, [0.0, 1.0], 2), [0.0, 0.0])
-
-
-def test_bound_is_met_with_equal_weights():
-    """With Q = R = I the feasible gain is the optimal one, and the bound leaves out nothing but xi_N's rows."""
-    maps = lemma_1.random_maps(np.random.default_rng(2), 2, 1, 3)
-    gain, bound = lemma_1.gain_and_bound(maps, np.eye(2), np.eye(1))
-    _, C, B = lemma_1.stacked_form(maps, np.eye(2), np.eye(1))
-    assert bound == pytest.approx(np.linalg.norm(np.linalg.pinv(C) @ B, 2))
-    assert gain == pytest.approx(np.linalg.norm((np.linalg.pinv(C) @ B)[:-2], 2))
-    assert gain < bound

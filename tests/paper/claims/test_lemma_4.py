@@ -33,6 +33,7 @@ from rhl.paper.claims.proximal import (
     three_point_gap,
     turn_identity,
 )
+from tests.sizes import SEEDS
 
 # A dozen roundings of numbers of size one to ten.
 ROUNDING = 1e-12
@@ -178,7 +179,7 @@ def test_run_measures_its_path():
     assert Run([], Squares(), points, points[1:], np.zeros(2)).length == 6
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

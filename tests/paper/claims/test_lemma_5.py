@@ -13,11 +13,12 @@ from rhl.errors import LostControllabilityError
 from rhl.model import SignalModel
 from rhl.paper.claims import lemma_5, spoiling
 from rhl.paper.claims.claim import Effort, judge
+from tests.sizes import SEEDS
 
 x = sp.Symbol("lambda")
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_5.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

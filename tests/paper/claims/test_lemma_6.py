@@ -13,11 +13,12 @@ from rhl.lifting import DelayLifting
 from rhl.paper.claims import kalman, lemma_6, remark_4
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import analysis
+from tests.sizes import SEEDS
 
 ROUNDING = 1e-9  # through O and its pseudo-inverse, of condition at most 1e3
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_6.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -14,8 +14,10 @@ from rhl.paper.claims import (
     assumption_4,
     lemma_1,
     lemma_2,
+    lemma_2_proof,
     lemma_3,
     lyapunov_terms,
+    remark_1,
     simulations,
 )
 from rhl.paper.claims.claim import Effort, judge
@@ -23,17 +25,17 @@ from rhl.problems import V2, V3
 
 
 def claim(id):
-    modules = (assumption_4, lemma_1, lemma_2, lemma_3, simulations)
+    modules = (assumption_4, remark_1, lemma_1, lemma_2, lemma_2_proof, lemma_3, simulations)
     return next(each for module in modules for each in module.CLAIMS if each.id == id)
 
 
 @pytest.fixture(autouse=True)
 def fresh_runs():
     """Runs are kept from one check to the next; those of a changed library must not be."""
-    lemma_2.sample.cache_clear()
+    lemma_2_proof.sample.cache_clear()
     simulations._run.cache_clear()
     yield
-    lemma_2.sample.cache_clear()
+    lemma_2_proof.sample.cache_clear()
     simulations._run.cache_clear()
 
 
@@ -156,7 +158,7 @@ def test_what_passed_is_caught(monkeypatch, id, mutate):
     assert judge(claim(id), Effort(0, 40)).as_recorded
     mutate(monkeypatch)
     fresh = claim(id)
-    lemma_2.sample.cache_clear()
+    lemma_2_proof.sample.cache_clear()
     simulations._run.cache_clear()
     assert judge(fresh, Effort(0, 40)).verdict != fresh.recorded
 

@@ -11,16 +11,17 @@ from rhl.paper.claims import theorem_1
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants.analysis import pbh
 from rhl.problems import V1
+from tests.sizes import SEEDS, size
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))
     assert judgement.as_recorded, judgement
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=size(6, 20), deadline=None)
 @given(st.floats(1.1, 2.5), st.floats(0.01, 10.0))
 def test_constant_epsilon_settles_where_it_should(a, epsilon):
     """u = -w a x/(R + w) with w = x^2/eps keeps x where a R/(R + w) = 1, so x^2 = eps R (a - 1)."""
@@ -67,7 +68,7 @@ def test_from_zero_nothing_moves():
     assert not np.any(loop.u)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=size(6, 20), deadline=None)
 @given(st.floats(1.1, 1.5), st.floats(-2, 3))
 def test_counterexample_meets_the_assumptions_and_diverges(a, exponent):
     run = theorem_1.change(np.array([a]), np.array([10.0**exponent]), theorem_1.vanishing)

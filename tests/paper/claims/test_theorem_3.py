@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rhl.controller import Controller
 from rhl.estimator import ProximalEstimator
 from rhl.losses import WeightedSquares
 from rhl.model import SignalModel
 from rhl.paper.claims import theorem_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import LinearPlant
-from rhl.scheme import Controller
 from rhl.simulation import simulate
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_3.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -5,9 +5,10 @@ import pytest
 
 from rhl.paper.claims import theorem_3_prime
 from rhl.paper.claims.claim import Effort, judge
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_3_prime.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -11,9 +11,10 @@ from rhl.paper.claims import varying_loss
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.estimation import estimate
 from rhl.paper.claims.varying_loss import CLAIMS
+from tests.sizes import SEEDS
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
     judgement = judge(claim, Effort(seed, 10))

@@ -1,0 +1,172 @@
+"""Mutants: each changes one result, a sample keeps its members, and what notices a change is told apart."""
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+from tools import mutants
+from tools.mutations import Mutant, asserted, mutants_of, sample
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = '''\
+"""A docstring with 1 < 2."""
+
+from __future__ import annotations
+
+LIMIT = 3
+
+
+def clipped(value: float, size: int = 2) -> float:
+    """Return a value below a limit, 1 < 2."""
+    if not value > LIMIT:
+        raise ValueError(f"at least {LIMIT + 1}")
+    return min(value, size) - 1.5
+'''
+
+
+def changed(text):
+    return {(mutant.before, mutant.after) for mutant in mutants_of("rhl/a.py", text)}
+
+
+def test_every_kind_of_place_is_changed():
+    assert changed(SOURCE) == {
+        ("LIMIT = 3", "LIMIT = 4"),
+        (
+            "def clipped(value: float, size: int = 2) -> float:",
+            "def clipped(value: float, size: int = 3) -> float:",
+        ),
+        ("if not value > LIMIT:", "if (value > LIMIT):"),
+        ("if not value > LIMIT:", "if not (value >= LIMIT):"),
+        ("if not value > LIMIT:", "if not (value < LIMIT):"),
+        ('raise ValueError(f"at least {LIMIT + 1}")', "pass"),
+        ("return min(value, size) - 1.5", "return (min(value, size) + 1.5)"),
+        ("return min(value, size) - 1.5", "return (max(value, size)) - 1.5"),
+        ("return min(value, size) - 1.5", "return min(value, size) - 3.0"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("def f(n):\n    n += 1\n", "pass"),
+        ("def f(n):\n    g(n)\n", "pass"),
+        ("a = x if b is None else y\n", "a = x if (b is not None) else y"),
+        ("a = b or c\n", "a = (b and c)"),
+        ("a = abs(b)\n", "a = b"),
+        ("if f(x):\n    a = b\n", "if (not f(x)):"),
+        ("a = True\n", "a = False"),
+    ],
+)
+def test_other_places(before, after):
+    assert after in {pair[1] for pair in changed(before)}
+
+
+def test_a_mutant_is_a_program_that_differs():
+    for path in (ROOT / "rhl/horizon.py", ROOT / "rhl/kernels/loops.py", ROOT / "rhl/paper/claims/lemma_5.py"):
+        text = path.read_text(encoding="utf-8")
+        found = list(mutants_of("rhl/x.py", text))
+        assert len(found) > 40
+        for mutant in found[::7]:
+            assert ast.dump(ast.parse(mutant.content)) != ast.dump(ast.parse(text))
+
+
+def test_the_sample_keeps_its_members(tmp_path):
+    """It depends on the changes, not on lines or files; another seed gives another sample."""
+    (tmp_path / "rhl").mkdir()
+    body = (ROOT / "rhl/horizon.py").read_text(encoding="utf-8")
+    (tmp_path / "rhl/a.py").write_text(body, encoding="utf-8")
+    first = {mutant.id for mutant in sample(tmp_path, 24, 0)}
+    (tmp_path / "rhl/a.py").rename(tmp_path / "rhl/b.py")
+    (tmp_path / "rhl/b.py").write_text("# a line more\n" + body, encoding="utf-8")
+    assert {mutant.id for mutant in sample(tmp_path, 24, 0)} == first
+    assert {mutant.id for mutant in sample(tmp_path, 24, 1)} != first
+
+
+def test_every_room_has_its_share():
+    rooms = [mutant.room for mutant in sample(ROOT, 300, 0)]
+    assert {"rhl", "rhl.kernels", "rhl.losses", "rhl.plants", "rhl.app", "rhl.study", "rhl.paper"} < set(rooms)
+    assert len(rooms) >= 300
+    assert min(rooms.count(room) for room in rooms) >= 24
+
+
+def test_of_a_notebook_what_it_states_is_changed():
+    cell = {"cell_type": "code", "metadata": {}, "source": "a = f()\nassert a < 1e-9\nassert len(b) == 3"}
+    found = list(asserted("notebooks/x.ipynb", json.dumps({"cells": [cell]})))
+    assert {(mutant.before, mutant.after) for mutant in found} == {
+        ("assert a < 1e-9", "assert (a > 1e-09)"),
+        ("assert len(b) == 3", "assert (len(b) != 3)"),
+        ("assert len(b) == 3", "assert (len(b) == 4)"),
+    }
+    assert json.loads(found[0].content)["cells"][0]["source"] != cell["source"]
+
+
+@pytest.fixture
+def project(tmp_path):
+    """A small tree whose tests execute one line and check another."""
+    (tmp_path / "tree/rhl").mkdir(parents=True)
+    (tmp_path / "tree/tests").mkdir()
+    (tmp_path / "tree/pytest.ini").write_text("[pytest]\n", encoding="utf-8")
+    source = "def twice(x):\n    unused = 1 + 1\n    return 2 * x\n"
+    (tmp_path / "tree/rhl/small.py").write_text(source, encoding="utf-8")
+    test = (
+        "import importlib.util\n\n\ndef test_twice():\n"
+        "    spec = importlib.util.spec_from_file_location('small', 'rhl/small.py')\n"
+        "    small = importlib.util.module_from_spec(spec)\n"
+        "    spec.loader.exec_module(small)\n"
+        "    assert small.twice(2) == 4\n"
+    )
+    (tmp_path / "tree/tests/test_small.py").write_text(test, encoding="utf-8")
+    return tmp_path / "tree", source
+
+
+def test_a_noticed_mutant_is_told_from_one_that_survives(project):
+    tree, source = project
+    found = {mutant.after: mutant for mutant in mutants_of("rhl/small.py", source)}
+    for after, verdict in (
+        ("return (2 / x)", "noticed"),
+        ("unused = (1 - 1)", "survived"),
+        ("return 3 * x", "noticed"),
+    ):
+        row = mutants.judged(tree, found[after], mutants._run_tests, ["tests/test_small.py::test_twice"], 60)
+        assert row["verdict"] == verdict
+        assert row["by"] == ("tests/test_small.py::test_twice" if verdict == "noticed" else "")
+        assert (tree / "rhl/small.py").read_text(encoding="utf-8") == source
+
+
+def test_a_mutant_that_never_ends_is_stopped(project):
+    tree, source = project
+    endless = Mutant("rhl/small.py", "", 1, "", "", f"while True:\n    pass\n{source}")
+    assert mutants.judged(tree, endless, mutants._run_tests, ["tests/test_small.py"], 6)["verdict"] == "too long"
+
+
+def test_the_table_counts():
+    rows = [
+        {"room": "rhl", "verdict": verdict} for verdict in ("noticed", "too long", "survived", "equivalent", "noticed")
+    ]
+    assert mutants.table(rows).splitlines()[-1].split() == ["all", "5", "3", "1", "1", "60.0%"]
+
+
+def test_tests_of_a_line_come_from_what_they_execute():
+    tests = {
+        "tests/test_a.py::slow": {"seconds": 2.0, "lines": {"rhl/a.py": [3]}},
+        "tests/test_b.py::fast": {"seconds": 0.1, "lines": {"rhl/a.py": [3]}},
+        "tests/test_b.py::elsewhere": {"seconds": 0.1, "lines": {"rhl/a.py": [4]}},
+    }
+    mutant = Mutant("rhl/a.py", "f", 3, "", "", "")
+    assert mutants.tests_of(mutant, tests, "") == ["tests/test_a.py::slow", "tests/test_b.py::fast"]
+    assert mutants.tests_of(mutant, tests, "tests/test_b.py::fast")[0] == "tests/test_b.py::fast"
+    imported = Mutant("rhl/a.py", "", 1, "", "", "")
+    assert len(mutants.tests_of(imported, tests, "")) == 3
+
+
+def test_listed_mutants_are_still_places_of_the_library():
+    places = set()
+    for path in sorted((ROOT / "rhl").rglob("*.py")):
+        file = path.relative_to(ROOT).as_posix()
+        for mutant in mutants_of(file, path.read_text(encoding="utf-8")):
+            places.add((mutant.function, mutant.before, mutant.after))
+    listed = mutants.known_equivalent()
+    assert set(listed) <= places
+    assert all(len(reason.split()) > 3 for reason in listed.values())

@@ -1,0 +1,59 @@
+"""A plugin of pytest that records which lines of `rhl/` each test executes, and how long the test takes.
+
+    RHL_COVERED=FOLDER pytest -p tools.covered ...
+
+Each process of the tests writes one file to FOLDER. Lines that only run while modules are imported belong to no test.
+`tools/mutants.py` reads the files: a changed line can only fail the tests that execute it.
+"""
+
+import json
+import os
+from pathlib import Path
+
+import coverage
+import pytest
+
+_tracer = coverage.Coverage(data_file=None, source=["rhl"], config_file=False, messages=False)
+_tracer.set_option("run:disable_warnings", ["no-data-collected"])  # in the process that only distributes tests
+_seconds: dict[str, float] = {}
+_failed: set[str] = set()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Trace from the start, because collection imports modules."""
+    if not config.option.collectonly:
+        _tracer.start()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item):  # type: ignore[no-untyped-def]
+    """Count lines for this test."""
+    _tracer.switch_context(item.nodeid)
+    result = yield
+    _tracer.switch_context("")
+    return result
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add up the durations of set-up, call and tear-down."""
+    if report.failed:
+        _failed.add(report.nodeid)
+    _seconds[report.nodeid] = _seconds.get(report.nodeid, 0.0) + report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Write the record of this process, if it ran tests."""
+    _tracer.stop()
+    data = _tracer.get_data()
+    lines: dict[str, dict[str, list[int]]] = {}
+    for file in data.measured_files():
+        where = Path(file).relative_to(session.config.rootpath).as_posix()
+        for line, tests in data.contexts_by_lineno(file).items():
+            for test in set(tests) - _failed - {""}:
+                lines.setdefault(test, {}).setdefault(where, []).append(line)
+    if not lines:
+        return
+    folder = Path(os.environ["RHL_COVERED"])
+    folder.mkdir(parents=True, exist_ok=True)
+    record = {test: {"seconds": _seconds.get(test, 0.0), "lines": found} for test, found in lines.items()}
+    (folder / f"{os.getpid()}.json").write_text(json.dumps(record), encoding="utf-8")

@@ -1,0 +1,325 @@
+"""Mutation testing: change one place of the library, run the tests that execute it, and see whether one fails.
+
+    python -m tools.mutants tests        # does `make test` notice?
+    python -m tools.mutants verify       # does `rhl verify` notice, without the tests?
+    python -m tools.mutants notebooks    # does a notebook notice a changed assertion, or a changed result?
+
+A seeded sample over the syntax trees, for two reasons: mutmut puts several versions of a function side by side, which
+numba cannot compile and doctests see; cosmic-ray runs one command for every mutant, which takes seven minutes each
+here. The sample is chosen by the hashes of the changes, not by positions, so that it stays the same when other lines
+change. `tools/equivalent.toml` lists changes that no test can notice, each with the reason.
+
+Everything runs in a copy of the tree. Results are appended to build/mutants/<what>.jsonl after each mutant, so that an
+interrupted run goes on where it ended.
+"""
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from tools.mutations import Mutant, notebook_sample, sample
+
+ROOT = Path(__file__).resolve().parent.parent
+OUTPUT = ROOT / "build/mutants"
+EQUIVALENT = ROOT / "tools/equivalent.toml"
+
+# Compiled code is invisible to a tracer: its tests are those that execute what calls it.
+CALLERS = {"rhl/kernels/": ("rhl/_engine.py", "rhl/_lanes.py", "rhl/_riccati.py", "rhl/estimator.py")}
+# Modules that take long to import, loaded once before the processes that each test one mutant.
+PRELOADED = [
+    *("numpy", "scipy.linalg", "scipy.optimize", "numba", "sympy", "control", "pandas", "matplotlib.pyplot"),
+    *("hypothesis", "pytest", "rich", "xarray", "zarr", "flint"),
+]
+# No claim is about files, plots, messages, comparisons, other plants.
+NO_CLAIM = (
+    *("rhl/app/", "rhl/paper/", "rhl/study/", "rhl/plants/", "rhl/plotting.py", "rhl/live.py"),
+    *("rhl/_checks.py", "rhl/_files.py", "rhl/errors.py", "rhl/__init__.py"),
+)
+SECONDS = 100  # of tests for one mutant, in the order of `tests_of`
+NOTICED_BY = "noticed-by"  # the file to which the process of a mutant writes the test or claim that failed
+MEMORY = 6 * 2**30  # bytes of address space beyond which a mutant counts as noticed
+
+
+def copy_tree(root: Path, tree: Path) -> None:
+    """Every file that belongs to the project, with its times, so that compiled code stays valid."""
+    if tree.exists():
+        shutil.rmtree(tree)
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=root,
+        check=True,
+        capture_output=True,
+    )
+    for name in filter(None, listed.stdout.decode().split("\0")):
+        if (root / name).is_file():
+            (tree / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(root / name, tree / name)
+    for cache in (root / "rhl/kernels").glob("__pycache__"):
+        shutil.copytree(cache, tree / cache.relative_to(root))
+
+
+def covered(tree: Path, folder: Path) -> dict[str, dict]:
+    """For each test its seconds and lines, measured now unless it was measured before."""
+    if not any(folder.glob("*.json")):
+        print("running the tests once to see which lines each of them executes", flush=True)
+        pytest = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-p", "tools.covered", "tests", "rhl", "README.md"]
+        done = subprocess.run(pytest, cwd=tree, env=_environment(tree) | {"RHL_COVERED": str(folder)}, check=False)
+        if done.returncode != 0:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise SystemExit("the tests must pass before mutants can be judged")
+    tests: dict[str, dict] = {}
+    for file in sorted(folder.glob("*.json")):
+        tests |= json.loads(file.read_text(encoding="utf-8"))
+    return tests
+
+
+def _trace_notebook(tree: Path, notebook: str, output: Path) -> None:
+    """Run the cells of a notebook in this process and write its seconds and lines, like those of a test."""
+    _enter(tree, "")
+    os.chdir(tree / "notebooks")
+    import coverage
+    from IPython.core.interactiveshell import InteractiveShell
+
+    tracer = coverage.Coverage(data_file=None, source=[str(tree / "rhl")], config_file=False, messages=False)
+    begin = time.monotonic()
+    tracer.start()
+    shell = InteractiveShell.instance()
+    for cell in json.loads((tree / notebook).read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            shell.run_cell("".join(cell["source"])).raise_error()  # type: ignore[no-untyped-call]
+    tracer.stop()
+    data = tracer.get_data()
+    lines = {Path(file).relative_to(tree).as_posix(): data.lines(file) for file in data.measured_files()}
+    record = {notebook: {"seconds": time.monotonic() - begin + 3, "lines": lines}}
+    output.write_text(json.dumps(record), encoding="utf-8")
+
+
+def covered_by_notebooks(tree: Path, folder: Path) -> dict[str, dict]:
+    """For each notebook its seconds and lines."""
+    folder.mkdir(parents=True, exist_ok=True)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    for path in sorted((tree / "notebooks").glob("*.ipynb")):
+        output = folder / f"{path.stem}.json"
+        if not output.exists():
+            process = context.Process(target=_trace_notebook, args=(tree, path.relative_to(tree).as_posix(), output))
+            process.start()
+            process.join()
+            if not output.exists():
+                raise SystemExit(f"{path.name} must pass before mutants can be judged")
+    records = (json.loads(file.read_text(encoding="utf-8")) for file in sorted(folder.glob("*.json")))
+    return {name: record for each in records for name, record in each.items()}
+
+
+def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[str]:
+    """The tests that can notice a mutant: the one that did before, those of its module, others, from short to long."""
+    callers = next((files for start, files in CALLERS.items() if mutant.file.startswith(start)), ())
+    name = f"test_{Path(mutant.file).stem.lstrip('_')}.py"
+
+    def executes(lines: dict[str, list[int]]) -> bool:
+        return mutant.line in lines.get(mutant.file, ()) or any(file in lines for file in callers)
+
+    found = [test for test, record in tests.items() if executes(record["lines"])]
+    if not found:  # a line that runs while the module is imported
+        found = [test for test, record in tests.items() if mutant.file in record["lines"]]
+    ranked = sorted(found, key=lambda test: (test != noticed_by, name not in test, tests[test]["seconds"]))
+    total = 0.0
+    kept: list[str] = []
+    for test in ranked:
+        total += tests[test]["seconds"]
+        if total > SECONDS and kept:
+            break
+        kept.append(test)
+    return kept
+
+
+def _environment(tree: Path) -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def _enter(tree: Path, cache: str) -> None:
+    """Make this process one of the changed tree."""
+    os.environ.update(_environment(tree))
+    if cache:
+        os.environ["NUMBA_CACHE_DIR"] = cache
+        from numba.core import config
+
+        config.CACHE_DIR = cache  # type: ignore[attr-defined]
+    os.chdir(tree)
+    sys.path.insert(0, str(tree))
+    sys.dont_write_bytecode = True
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 1)
+    os.dup2(null, 2)
+
+
+def _run_tests(tree: Path, cache: str, tests: list[str]) -> None:
+    _enter(tree, cache)
+    import pytest
+
+    class First:
+        @staticmethod
+        def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+            if report.failed:
+                (tree.parent / NOTICED_BY).write_text(report.nodeid, encoding="utf-8")
+
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    os._exit(1 if pytest.main([*options, *tests], [First]) else 0)
+
+
+def _run_claims(tree: Path, cache: str, claims: list[str]) -> None:
+    _enter(tree, cache)
+    from rhl.paper.claims import ledger
+    from rhl.paper.claims.claim import Effort, judge
+
+    by_id = {claim.id: claim for claim in ledger.CLAIMS}
+    for id in claims:
+        if not judge(by_id[id], Effort(0, 100)).as_recorded:
+            (tree.parent / NOTICED_BY).write_text(id, encoding="utf-8")
+            os._exit(1)
+    os._exit(0)
+
+
+def judged(tree: Path, mutant: Mutant, work: Callable[..., None], what: list[str], limit: float) -> dict[str, Any]:
+    """Run one mutant in a process of its own; returns the verdict, the seconds, and the test or claim that failed."""
+    path = tree / mutant.file
+    kept, stat = path.read_bytes(), path.stat()
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    cache = str(tree.parent / f"{tree.name}-compiled") if mutant.file.startswith("rhl/kernels/") else ""
+    noticed_by = tree.parent / NOTICED_BY
+    noticed_by.unlink(missing_ok=True)
+    begin = time.monotonic()
+    path.write_text(mutant.content, encoding="utf-8")
+    try:
+        process = context.Process(target=work, args=(tree, cache, what))
+        process.start()
+        process.join(limit)
+        if process.is_alive():
+            process.kill()
+            process.join()
+            verdict = "too long"
+        else:
+            verdict = "survived" if process.exitcode == 0 else "noticed"
+    finally:
+        path.write_bytes(kept)
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        shutil.rmtree(cache or os.devnull, ignore_errors=True)
+    by = noticed_by.read_text(encoding="utf-8") if noticed_by.exists() else ""
+    return {"verdict": verdict, "seconds": time.monotonic() - begin, "by": by}
+
+
+def known_equivalent() -> dict[tuple[str, str, str], str]:
+    """The listed changes that no test can notice: (function, line before, line after) to the reason."""
+    if not EQUIVALENT.is_file():
+        return {}
+    rows = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8"))["mutant"]
+    return {(row["function"], row["before"], row["after"]): row["reason"] for row in rows}
+
+
+def table(results: list[dict]) -> str:
+    """One row for each room: mutants, noticed, equivalent, survived, and the share that was noticed."""
+    rows = [("room", "mutants", "noticed", "equivalent", "survived", "share noticed")]
+    rooms = sorted({row["room"] for row in results})
+    for room in [*rooms, "all"]:
+        count = Counter(row["verdict"] for row in results if room in ("all", row["room"]))
+        noticed, total = count["noticed"] + count["too long"], count.total()
+        share = f"{noticed / total:.1%}"
+        rows.append((room, str(total), str(noticed), str(count["equivalent"]), str(count["survived"]), share))
+    return "\n".join("  ".join(f"{cell:>13}" if i else f"{cell:18}" for i, cell in enumerate(row)) for row in rows)
+
+
+def claims_by_seconds(tree: Path) -> list[str]:
+    """Ids of all claims, those that are checked fastest first."""
+    code = (
+        "import json; from rhl.paper.claims import ledger; from rhl.paper.claims.claim import Effort\n"
+        "print(json.dumps([[row.seconds, row.claim.id] for row in ledger.run(ledger.CLAIMS, Effort(0, 100))]))"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=tree, env=_environment(tree), check=True, capture_output=True, text=True)
+    return [id for _, id in sorted(json.loads(done.stdout))]
+
+
+def main() -> int:
+    """Judge the sample, print each result and a table; exit status 1 if fewer are noticed than asked for."""
+    parser = argparse.ArgumentParser(description="change the library in one place and see what notices")
+    parser.add_argument("what", choices=("tests", "verify", "notebooks"))
+    parser.add_argument("--size", type=int, default=300, help="about as many mutants (default: 300)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--room", default="rhl", help="a file or folder of rhl/ (default: all)")
+    parser.add_argument("--at-least", type=float, default=0.0, help="share that has to be noticed")
+    parser.add_argument("--root", type=Path, default=ROOT, help="another checkout of the project")
+    parser.add_argument("--output", type=Path, default=OUTPUT)
+    parser.add_argument("--before", type=Path, help="results of an earlier run, whose failing tests are tried first")
+    parser.add_argument("--again", action="store_true", help="judge those anew that survived")
+    options = parser.parse_args()
+    tree, record = options.output / f"{options.what}-tree", options.output / f"{options.what}.jsonl"
+    options.output.mkdir(parents=True, exist_ok=True)
+    copy_tree(options.root, tree)
+
+    by_notebook = {} if options.what == "verify" else covered_by_notebooks(tree, options.output / "notebooks")
+    if options.what == "notebooks":
+        lines = {name: record["lines"] for name, record in by_notebook.items()}
+        pairs = notebook_sample(tree, lines, options.seed)
+    else:
+        pairs = [("", each) for each in sample(tree, options.size, options.seed) if each.file.startswith(options.room)]
+    if options.what == "verify":  # what the claims are about, not the claims
+        pairs = [(name, mutant) for name, mutant in pairs if not mutant.file.startswith(NO_CLAIM)]
+    if options.what == "tests":
+        tests = covered(tree, options.output / "covered") | by_notebook
+    claims = claims_by_seconds(tree) if options.what == "verify" else []
+
+    rows = [json.loads(line) for line in record.read_text(encoding="utf-8").splitlines()] if record.exists() else []
+    done = {row["id"]: row for row in rows if not (options.again and row["verdict"] == "survived")}
+    lines_before = options.before.read_text(encoding="utf-8").splitlines() if options.before else []
+    before = {row["id"]: row.get("by", "") for row in map(json.loads, lines_before)}
+    reasons = known_equivalent()
+    results = []
+    for number, (notebook, mutant) in enumerate(pairs, 1):
+        row = done.get(notebook + mutant.id)
+        if row is None:
+            row = {"id": notebook + mutant.id, "room": mutant.room} | asdict(mutant)
+            del row["content"]
+            if (mutant.function, mutant.before, mutant.after) in reasons:
+                row |= {"verdict": "equivalent", "seconds": 0.0}
+            elif options.what == "notebooks":
+                row |= judged(tree, mutant, _run_tests, [notebook], 300)
+            elif options.what == "verify":
+                row |= judged(tree, mutant, _run_claims, claims, 600)
+            elif what := tests_of(mutant, tests, before.get(mutant.id, "")):
+                row |= {"tests": len(what)} | judged(tree, mutant, _run_tests, what, 120 + 4 * SECONDS)
+            else:
+                row |= {"verdict": "survived", "seconds": 0.0, "tests": 0}
+            with record.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+        results.append(row)
+        print(
+            f"{number}/{len(pairs)} {row['verdict']:10} {row['seconds']:5.0f} s  {mutant.file}:{mutant.line}",
+            flush=True,
+        )
+    print(table(results))
+    for row in results:
+        if row["verdict"] == "survived":
+            print(f"{row['file']}:{row['line']} {row['function']}\n  - {row['before']}\n  + {row['after']}")
+    score = Counter(row["verdict"] for row in results)
+    return int((score["noticed"] + score["too long"]) / max(1, len(results)) < options.at_least)
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(KeyboardInterrupt):
+        sys.exit(main())
+    sys.exit(130)
