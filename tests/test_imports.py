@@ -118,6 +118,7 @@ PAPER = [
     ),
     "paper.claims.ledger",
     "paper.chain",
+    "paper.environment",
     "paper.pages",
     "paper.listing",
     "paper.chain_picture",

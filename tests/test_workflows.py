@@ -56,17 +56,13 @@ def faults(text, makefile):
         if given != wanted:
             found.append(f"{name} has the permissions {sorted(given)}, and needs {sorted(wanted)}")
     for step, _ in steps(workflow):
-        if (
-            "actions/checkout" in step.get("uses", "")
-            and (step.get("with") or {}).get("persist-credentials") is not False
-        ):
+        kept = (step.get("with") or {}).get("persist-credentials", True)
+        if "actions/checkout" in step.get("uses", "") and kept is not False:
             found.append("a checkout keeps its token")
     for script in scripts(workflow):
-        found += [
-            f"make {target} is no target"
-            for target in re.findall(r"\bmake ([\w-]+)", script)
-            if target not in targets(makefile)
-        ]
+        # At the start of a command; apt-get installs a package of that name too.
+        asked = set(re.findall(r"(?:^|&&|;)\s*make ([\w-]+)", script, re.MULTILINE))
+        found += [f"make {target} is no target" for target in sorted(asked - targets(makefile))]
         # Expressions of the host stand for a word.
         plain = re.sub(r"\$\{\{.*?\}\}", "word", script)
         if subprocess.run(["bash", "-n"], input=plain, text=True, capture_output=True, check=False).returncode:

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 OUTPUTS_NEED = ("rhl", "environment.lock", "_config.yml")
-PAGES_NEED = ("_toc.yml", "book", "notebooks", "proofs", "build/pyodide")
+PAGES_NEED = ("_toc.yml", "CITATION.cff", "book", "notebooks", "proofs", "build/pyodide")
 BUILT = "build/_build"
 RECORD = "build/fresh.json"
 

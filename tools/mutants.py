@@ -99,7 +99,7 @@ def _trace_notebook(tree: Path, notebook: str, output: Path) -> None:
     shell = InteractiveShell.instance()
     for cell in json.loads((tree / notebook).read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
-            shell.run_cell("".join(cell["source"])).raise_error()  # type: ignore[no-untyped-call]
+            shell.run_cell("".join(cell["source"])).raise_error()
     tracer.stop()
     data = tracer.get_data()
     lines = {Path(file).relative_to(tree).as_posix(): data.lines(file) for file in data.measured_files()}

@@ -4,7 +4,9 @@ Each fix has a name; a fix that applies to no page fails the build, so that obso
 """
 
 import re
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
@@ -40,9 +42,9 @@ def mend(text: str) -> tuple[str, set[str]]:
     return text, found
 
 
-def mend_pages(app: Sphinx, exception: Exception | None) -> None:
-    """Fix every page of the book."""
-    if exception or app.builder.name != "html":
+def mend_pages(app: Sphinx, exception: Exception | None, written: Collection[str]) -> None:
+    """Fix every page of the book, unless Sphinx has written none, because the last build's are current."""
+    if exception or app.builder.name != "html" or not written:
         return
     found = set()
     for path in Path(app.outdir).rglob("*.html"):
@@ -59,5 +61,11 @@ def mend_pages(app: Sphinx, exception: Exception | None) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register with Sphinx."""
-    app.connect("build-finished", mend_pages)
+    written: set[str] = set()
+
+    def note(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: Any) -> None:
+        written.add(page)
+
+    app.connect("html-page-context", note)
+    app.connect("build-finished", lambda app, exception: mend_pages(app, exception, written))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

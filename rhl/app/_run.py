@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import sys
-import textwrap
 
 from rhl._checks import reason
 from rhl.app._sections import too_heavy
 from rhl.app._status import INTERRUPTED, OK, STOPPED
-from rhl.app._streams import print_table, progress, undisturbed, width_of
+from rhl.app._streams import print_table, progress, undisturbed
 from rhl.app.diagnosis import Diagnosis
 from rhl.errors import DivergedError, LostControllabilityError, NotSolvedError
 from rhl.paper.published import Experiment
 from rhl.trace import Trace
 
-# The width of the table of findings, in characters.
-_WIDE = 140
+CHECK_WIDTH = 140  # of the table of `rhl check`
 TOO_LARGE = "the run must fit into memory"
 
 
@@ -64,11 +62,4 @@ def print_findings(diagnosis: Diagnosis, title: str) -> None:
     table.add_column("found")
     for finding in diagnosis.findings:
         table.add_row(finding.verdict, escape(finding.subject), escape(finding.says))
-    print_table(table, _WIDE, sys.stdout)
-
-
-def print_legend(diagnosis: Diagnosis) -> None:
-    """Print the meaning of the verdicts and words of a diagnosis."""
-    width = width_of(sys.stdout, _WIDE)
-    for line in diagnosis.legend():
-        print(textwrap.fill(line, width, subsequent_indent="  "))
+    print_table(table, CHECK_WIDTH, sys.stdout)

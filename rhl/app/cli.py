@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from rhl.app._streams import (
     print_table,
     printable,
     target_name,
+    width_of,
     words_of,
 )
 from rhl.errors import AssumptionWarning, InputError
@@ -269,7 +271,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from rhl.app._run import print_findings, print_legend, watched
+    from rhl.app._run import CHECK_WIDTH, print_findings, watched
     from rhl.app.config import load
     from rhl.app.diagnosis import Diagnosis, diagnose, diagnose_run
 
@@ -284,7 +286,9 @@ def _check(options: argparse.Namespace) -> int:
             after = diagnose_run(trace)
             print_findings(after, f"{experiment.name}: after {len(trace)} steps")
             found = Diagnosis((*found.findings, *after.findings))
-    print_legend(found)
+    width = width_of(sys.stdout, CHECK_WIDTH)
+    for line in found.legend():
+        print(textwrap.fill(line, width, subsequent_indent="  "))
     if why:
         complain(why)
         return status

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import math
 import os
@@ -103,8 +104,11 @@ def table(rows: Iterable[Mapping[str, object]]) -> Styler:
     """Return rows of named entries as a table for a page."""
     import pandas as pd
 
+    frame = pd.DataFrame(list(rows))
+    # pandas would draw the id at random, and two builds of the book would differ.
+    id = hashlib.sha256(frame.to_csv().encode()).hexdigest()[:8]
     # The theme styles tables of this class for light and dark pages, and no others.
-    return pd.DataFrame(list(rows)).style.hide().set_table_attributes('class="dataframe"')
+    return frame.style.hide().set_uuid(id).set_table_attributes('class="dataframe"')
 
 
 def comparison_table(rows: Iterable[Comparison]) -> Styler:
