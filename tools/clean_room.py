@@ -75,6 +75,13 @@ EXPECTED: dict[str, dict[str, str]] = {
     | {MANY: "study"},
     "study": {NEW: "", RUN: "", CHECK: "", COMPARE: "", MANY: "", PLOT: "plot", VERIFY: "paper"},
 }
+# Other languages and encodings, under which these commands work too.
+LOCALES = {
+    "LC_ALL=C without UTF-8": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "LC_ALL=de_DE.UTF-8": {"LC_ALL": "de_DE.UTF-8", "LANG": "de_DE.UTF-8"},
+    "LC_ALL=de_DE.ISO-8859-1": {"LC_ALL": "de_DE.ISO-8859-1", "PYTHONUTF8": "0"},
+}
+ABROAD = (NEW, RUN, CHECK, LINEAR, LISTED, COMPARE, "schema --output größe.json")
 # What the notebooks need beside Jupyter.
 NOTEBOOK_EXTRAS = "paper"
 
@@ -166,14 +173,14 @@ def room(uv: Path, python: str, where: Path, wheel: Path, extra: str, more: Sequ
     return made / "bin"
 
 
-def commands(bin: Path, folder: Path, expected: dict[str, str]) -> Iterable[Result]:
+def commands(bin: Path, folder: Path, expected: dict[str, str], **environment: str) -> Iterable[Result]:
     """Try each command in a folder."""
     folder.mkdir()
     (folder / "transfer.toml").write_text(TRANSFER, encoding="utf-8")
     (folder / "small.toml").write_text(CAMPAIGN, encoding="utf-8")
     for command, wanted in expected.items():
         before, begun = set(folder.iterdir()), time.monotonic()
-        done = run([bin / "rhl", *command.split()], folder)
+        done = run([bin / "rhl", *command.split()], folder, **environment)
         wrong = verdict(wanted, done, (path.name for path in set(folder.iterdir()) - before))
         what = f"rhl {command}" + (f"   (needs [{wanted}])" if wanted else "")
         yield Result(what, not wrong, f"{wrong}: {said(done)}" if wrong else said(done), time.monotonic() - begun)
@@ -203,6 +210,10 @@ def tried(uv: Path, python: str, where: Path, extras: Sequence[str], notebooks: 
         if not extra:
             yield from scripts(bin, where, {"import every module of the core": ["-c", CORE]})
         yield from commands(bin, where / f"work {extra or 'core'}", EXPECTED[extra])
+        if extra == "app":
+            for name, environment in LOCALES.items():
+                yield Result(f"-- the same under {name}", True, "", 0.0)
+                yield from commands(bin, where / f"größe {name}", dict.fromkeys(ABROAD, ""), **environment)
     if notebooks != "none":
         begun = time.monotonic()
         bin = room(uv, python, where, wheel, NOTEBOOK_EXTRAS, JUPYTER)
