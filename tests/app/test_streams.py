@@ -12,6 +12,7 @@ import pytest
 
 from rhl import _files
 from rhl.app import cli
+from rhl.app._status import STOPPED
 from rhl.app._streams import STDOUT, interruptible, printable, target_name
 from rhl.errors import InputError
 from rhl.paper.published import Experiment
@@ -175,7 +176,7 @@ def test_every_result_can_be_printed(folder, capsys, call, begins, words):
 
 def test_a_run_that_stops_at_once_prints_the_heading(folder, capsys):
     Path("run.toml").write_text(but("-10]", "1e200]"), encoding="utf-8")
-    assert cli.main(["run", "run.toml", "--output", "-"]) == cli.STOPPED
+    assert cli.main(["run", "run.toml", "--output", "-"]) == STOPPED
     assert capsys.readouterr().out == "k,y1,v1,yhat1,z1,z2,z3,weight,lambda\n"
 
 
@@ -240,7 +241,7 @@ def test_force_keeps_a_good_file_where_no_row_was_made(folder, capsys, monkeypat
             raise KeyboardInterrupt
 
         monkeypatch.setattr(Experiment, "run", interrupted)
-    assert cli.main([*RUN.split(), "--force"]) in (cli.STOPPED, cli.INTERRUPTED)
+    assert cli.main([*RUN.split(), "--force"]) in (STOPPED, cli.INTERRUPTED)
     assert capsys.readouterr().err.endswith("; there is no row before it, and t.csv is unchanged\n")
     assert Path("t.csv").read_bytes() == good
 
