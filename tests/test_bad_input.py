@@ -8,8 +8,9 @@ import pandas as pd
 import pytest
 
 from rhl import plotting
-from rhl.app.config import load, parse, template
+from rhl.app.config import load, parse
 from rhl.app.diagnosis import Finding, diagnose, diagnose_run
+from rhl.app.templates import template
 from rhl.basis import Features, Polynomials, Terms
 from rhl.closed_loop import advance, replay, start, step
 from rhl.constraints import LinearConstraints

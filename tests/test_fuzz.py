@@ -20,8 +20,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from rhl.app import cli
-from rhl.app.config import keys, parse, template
+from rhl.app.config import keys, parse
 from rhl.app.diagnosis import Finding, diagnose
+from rhl.app.templates import template
 from rhl.basis import Features, Polynomials, Terms
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch

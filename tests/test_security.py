@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rhl import InputError
-from rhl.app import cli
+from rhl.app import _status, cli
 from rhl.app._campaign_keys import parse as parse_campaign
 from rhl.app.config import load, parse
 from tests.app.test_bad_files import GOOD, OWN
@@ -126,7 +126,7 @@ def written(where, program=GOOD):
 def test_a_python_plant_runs_only_if_it_is_allowed(folder, capsys, call, where):
     where = str(folder / "p.py") if where == "absolute" else where
     mark = written(where)
-    assert cli.main(call) == cli.BAD_INPUT
+    assert cli.main(call) == _status.BAD_INPUT
     said = capsys.readouterr()
     assert re.fullmatch(
         r'rhl: plant\.kind must not be "python" unless --allow-python is given, got .*p\.py, which would be executed; '
@@ -134,7 +134,7 @@ def test_a_python_plant_runs_only_if_it_is_allowed(folder, capsys, call, where):
         said.err,
     )
     assert (said.out, mark.exists(), Path("t.csv").exists()) == ("", False, False)
-    assert cli.main([*call, "--allow-python"]) in (cli.OK, cli.MISSED)
+    assert cli.main([*call, "--allow-python"]) in (_status.OK, _status.MISSED)
     assert mark.exists()
 
 
@@ -147,7 +147,7 @@ def test_a_python_plant_that_is_not_allowed_is_not_even_opened(folder, monkeypat
     done = subprocess.run(
         [sys.executable, "-c", code, "check", "run.toml"], timeout=60, capture_output=True, check=False
     )
-    assert done.returncode == cli.BAD_INPUT
+    assert done.returncode == _status.BAD_INPUT
     with pytest.raises(subprocess.TimeoutExpired):
         subprocess.run([sys.executable, "-c", code, "check", "run.toml", "--allow-python"], timeout=5, check=False)
 
@@ -165,11 +165,11 @@ def test_a_campaign_and_a_comparison_know_no_python(folder, capsys):
     mark = written("p.py")
     campaign = 'name = "c"\nseed = 1\n[plants]\nkind = "python"\nfile = "p.py"\n[[schemes]]\nbase = "default"\n'
     Path("c.toml").write_text(campaign, encoding="utf-8")
-    assert cli.main(["campaign", "c.toml", "--output", "many"]) == cli.BAD_INPUT
-    assert cli.main(["compare", "p.py"]) == cli.BAD_INPUT
+    assert cli.main(["campaign", "c.toml", "--output", "many"]) == _status.BAD_INPUT
+    assert cli.main(["compare", "p.py"]) == _status.BAD_INPUT
     assert not mark.exists()
     for flag in (["campaign", "c.toml", "--output", "many"], ["compare", "toy"]):
-        assert cli.main([*flag, "--allow-python"]) == cli.BAD_INPUT
+        assert cli.main([*flag, "--allow-python"]) == _status.BAD_INPUT
         assert "unrecognized arguments: --allow-python" in capsys.readouterr().err
 
 

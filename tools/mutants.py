@@ -162,9 +162,9 @@ def _enter(tree: Path, cache: str) -> None:
     sys.path.insert(0, str(tree))
     sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 1)
-    os.dup2(null, 2)
+    said = os.open(tree.parent / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
 
 
 def _run_tests(tree: Path, cache: str, tests: list[str]) -> None:

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhl.app import cli
-from rhl.app._status import STOPPED
+from rhl.app import _status, cli
 from tests.app.test_config import ARM, LINEAR
 from tests.bad_input import faults, listing
 
@@ -523,7 +522,7 @@ def test_bad_answers_are_seen(folder, capsys, monkeypatch):
 )
 def test_runs_that_leave_the_range_keep_whole_rows(folder, capsys, text, k):
     Path("run.toml").write_text(text, encoding="utf-8")
-    assert cli.main(RUN) == STOPPED
+    assert cli.main(RUN) == _status.STOPPED
     assert capsys.readouterr().err.startswith(f"rhl: the run left the range of floating-point numbers at k = {k}: ")
     assert whole_rows("t.csv") == k
 
@@ -563,7 +562,7 @@ def test_a_weight_that_leaves_the_range_names_its_key(folder, capsys, change, sa
     """In the last row it is the state that does, and no key is blamed."""
     far = "-1e160]" if change[0] == change[1] else "-1e6]"
     Path("run.toml").write_text(but(*change).replace("-10]", far), encoding="utf-8")
-    assert cli.main(RUN) == STOPPED
+    assert cli.main(RUN) == _status.STOPPED
     assert re.search(says, capsys.readouterr().err)
 
 

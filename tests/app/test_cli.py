@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rhl import _files
-from rhl.app import cli
+from rhl.app import _status, cli
 from rhl.app._status import STOPPED
 from rhl.app.config import schema
 from rhl.errors import InputError, LostControllabilityError, NotSolvedError
@@ -61,7 +61,7 @@ def test_reproduce(capsys, arguments, status, found):
 def test_reproduce_misses_when_the_library_is_wrong(capsys, monkeypatch):
     right = published.linear_example
     monkeypatch.setattr(published, "linear_example", lambda printed=False: right(printed=True))
-    assert cli.main(["reproduce", "linear"]) == cli.MISSED
+    assert cli.main(["reproduce", "linear"]) == _status.MISSED
 
 
 def test_reproduce_writes_its_run(tmp_path, capsys):
@@ -94,7 +94,7 @@ def test_run_writes_every_row_to_the_last_digit(config, tmp_path):
 )
 def test_bad_input_is_one_sentence_and_leaves_no_file(config, tmp_path, capsys, replacement, sentence):
     table = tmp_path / "trace.csv"
-    assert cli.main(["run", str(config(replacement)), "--output", str(table)]) == cli.BAD_INPUT
+    assert cli.main(["run", str(config(replacement)), "--output", str(table)]) == _status.BAD_INPUT
     captured = capsys.readouterr()
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
@@ -116,7 +116,7 @@ def test_bad_input_is_one_sentence_and_leaves_no_file(config, tmp_path, capsys, 
 )
 def test_bad_calls(tmp_path, monkeypatch, capsys, arguments, sentence):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(arguments) == cli.BAD_INPUT
+    assert cli.main(arguments) == _status.BAD_INPUT
     captured = capsys.readouterr()
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
@@ -148,7 +148,7 @@ def test_interrupt_keeps_the_rows(config, tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Experiment, "run", interrupted)
-    assert cli.main(["run", str(config()), "--output", str(table)]) == cli.INTERRUPTED
+    assert cli.main(["run", str(config()), "--output", str(table)]) == _status.INTERRUPTED
     assert len(rows_of(table)) == 5
     assert "interrupted at k = 5" in capsys.readouterr().err
 
@@ -168,7 +168,7 @@ def test_no_file_is_written_over_another_of_the_call(config, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     path = config()
     more = () if "--output" in flags else ("--output", "t.csv")
-    assert cli.main(["run", "run.toml", *flags, *more]) == cli.BAD_INPUT
+    assert cli.main(["run", "run.toml", *flags, *more]) == _status.BAD_INPUT
     assert "must name a file of its own" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == LINEAR
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.toml"]
@@ -201,7 +201,7 @@ def test_rows_do_not_stay_where_the_figure_fails(config, tmp_path, monkeypatch, 
     monkeypatch.setattr(_files, "write_whole", full)
     table = tmp_path / "t.csv"
     call = ["run", str(config()), "--output", str(table), "--plot", str(tmp_path / "f.svg")]
-    assert cli.main(call) == cli.BAD_INPUT
+    assert cli.main(call) == _status.BAD_INPUT
     assert not table.exists()
 
 
@@ -255,7 +255,7 @@ def test_what_exists_is_written_over_by_force_only(config, tmp_path, monkeypatch
     config()
     for name in ("there", "there.svg", "there.toml"):
         Path(name).write_text("mine", encoding="utf-8")
-    assert cli.main(asked) == cli.BAD_INPUT
+    assert cli.main(asked) == _status.BAD_INPUT
     assert "must name a new file, got there" in capsys.readouterr().err
     assert {path.read_text(encoding="utf-8") for path in tmp_path.glob("there*")} == {"mine"}
     assert not Path("new.csv").exists()
@@ -274,7 +274,7 @@ def test_a_new_configuration_runs_as_it_is(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", ["", ".toml", "no/such/folder", "a\nb"])
 def test_names_that_a_new_configuration_cannot_have(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["new", name]) == cli.BAD_INPUT
+    assert cli.main(["new", name]) == _status.BAD_INPUT
     assert capsys.readouterr().err.startswith("rhl: NAME must ")
     assert list(tmp_path.iterdir()) == []
 
@@ -284,7 +284,7 @@ def test_check_tells_a_sound_configuration_from_an_unsound_one(config, tmp_path,
     assert "violated" not in capsys.readouterr().out
     deaf = tmp_path / "deaf.toml"
     deaf.write_text(LINEAR.replace("G = [[0], [1], [0]]", "G = [[0], [0], [1]]"), encoding="utf-8")
-    assert cli.main(["check", str(deaf)]) == cli.MISSED
+    assert cli.main(["check", str(deaf)]) == _status.MISSED
     assert "the input does not reach the mode 1.02" in " ".join(capsys.readouterr().out.replace("│", " ").split())
 
 
@@ -318,7 +318,7 @@ def test_pdf_is_a_figure_too(tmp_path, capsys):
 
 @pytest.mark.parametrize("name", ["x" * 300, "y" * 5000 + "/t.csv"])
 def test_names_that_no_file_can_have(capsys, name):
-    assert cli.main(["reproduce", "linear", "--output", name]) == cli.BAD_INPUT
+    assert cli.main(["reproduce", "linear", "--output", name]) == _status.BAD_INPUT
     assert "--output must name a file" in capsys.readouterr().err
 
 
@@ -327,7 +327,7 @@ def test_an_interrupt_outside_the_loop_is_one_sentence(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(published, "linear_example", interrupted)
-    assert cli.main(["reproduce", "linear"]) == cli.INTERRUPTED
+    assert cli.main(["reproduce", "linear"]) == _status.INTERRUPTED
     assert capsys.readouterr().err == "rhl: interrupted\n"
 
 
@@ -359,7 +359,7 @@ def test_a_package_that_is_missing_is_named_with_its_extra(config, tmp_path, pac
     assert done.stderr == (
         f"rhl: this command needs the package {package}, got none installed; pip install 'rhl[{extra}]'\n"
     )
-    assert (done.returncode, done.stdout) == (cli.BAD_INPUT, "")
+    assert (done.returncode, done.stdout) == (_status.BAD_INPUT, "")
     assert {entry.name for entry in tmp_path.iterdir()} == {"run.toml", "transfer.toml"}
 
 
@@ -399,10 +399,10 @@ def test_help_loads_nothing_that_takes_long():
 def test_a_reader_who_leaves_and_a_full_disk():
     command = f"{sys.executable} -c 'import sys; from rhl.app.cli import main; sys.exit(main())' reproduce robot"
     gone = subprocess.run(["bash", "-c", f"{command} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True)
-    assert gone.returncode in (0, cli.BROKEN_PIPE)
+    assert gone.returncode in (0, _status.BROKEN_PIPE)
     assert gone.stderr == ""
     full = subprocess.run(["bash", "-c", f"{command} > /dev/full"], capture_output=True, text=True, check=False)
-    assert full.returncode == cli.BAD_INPUT
+    assert full.returncode == _status.BAD_INPUT
     assert full.stderr == "rhl: the table must be written to standard output, got: No space left on device\n"
 
 
@@ -446,7 +446,7 @@ def test_verify_fails_where_a_verdict_changed(monkeypatch, capsys):
     monkeypatch.setattr(ledger, "CLAIMS", (lying,))
     assert cli.main(["verify", "--fast"]) == 0  # without the correction it is refuted, as recorded
     monkeypatch.setattr(ledger, "CLAIMS", (replace(lying, stated=honest.corrected),))
-    assert cli.main(["verify", "--fast"]) == cli.MISSED
+    assert cli.main(["verify", "--fast"]) == _status.MISSED
     assert "holds on all cases tried, NOT refuted" in capsys.readouterr().out
 
 
@@ -463,7 +463,7 @@ def test_verify_reports_a_check_that_decides_nothing(tmp_path, monkeypatch, caps
     """Neither a traceback that ends the run nor a verdict: a row, a sentence, an entry, a place in the tally."""
     file = tmp_path / "ledger.json"
     monkeypatch.setattr(target, mutation)
-    assert cli.main(["verify", "remark-4.stabilizable", "eq-1", "--fast", "--json", str(file)]) == cli.MISSED
+    assert cli.main(["verify", "remark-4.stabilizable", "eq-1", "--fast", "--json", str(file)]) == _status.MISSED
     printed = capsys.readouterr().out
     assert "no evidence, NOT holds" in printed
     assert f"remark-4.stabilizable: {problem}" in printed
@@ -482,7 +482,7 @@ def test_verify_reports_a_check_without_cases(monkeypatch, capsys):
 
     (honest,) = ledger.select(["eq-22"])
     monkeypatch.setattr(ledger, "CLAIMS", (replace(honest, stated=lambda effort: Evidence(0, 0.0)),))
-    assert cli.main(["verify", "--fast"]) == cli.MISSED
+    assert cli.main(["verify", "--fast"]) == _status.MISSED
     assert "eq-22: the check had no cases" in capsys.readouterr().out
 
 
@@ -497,7 +497,7 @@ def test_verify_reports_a_check_without_cases(monkeypatch, capsys):
     ],
 )
 def test_verify_refuses(capsys, arguments, sentence):
-    assert cli.main(["verify", *arguments]) == cli.BAD_INPUT
+    assert cli.main(["verify", *arguments]) == _status.BAD_INPUT
     assert sentence in capsys.readouterr().err
 
 
@@ -554,7 +554,7 @@ def test_a_second_interrupt_does_not_lose_the_table(tmp_path, monkeypatch, capsy
     monkeypatch.setattr(ledger, "run", interrupted)
     monkeypatch.setattr(_verify, "print_table", pressed_again)
     file = tmp_path / "v.json"
-    assert cli.main(["verify", "eq-22", "lemma-5", "--fast", "--json", str(file)]) == cli.INTERRUPTED
+    assert cli.main(["verify", "eq-22", "lemma-5", "--fast", "--json", str(file)]) == _status.INTERRUPTED
     streams = capsys.readouterr()
     assert streams.err == "rhl: interrupted after 1 of 2 claims\n"
     assert "1 claim, seed 0" in streams.out
@@ -567,7 +567,7 @@ def test_without_the_first_interrupt_the_second_one_ends_the_command(monkeypatch
     from rhl.app import _verify
 
     monkeypatch.setattr(_verify, "print_table", lambda *_: signal.raise_signal(signal.SIGINT))
-    assert cli.main(["verify", "eq-22", "--fast"]) == cli.INTERRUPTED
+    assert cli.main(["verify", "eq-22", "--fast"]) == _status.INTERRUPTED
     assert capsys.readouterr().err == "rhl: interrupted\n"
 
 
@@ -580,7 +580,7 @@ def test_verify_fails_where_coq_has_not_checked_a_theorem(monkeypatch, capsys):
     kept = formal.record()
     for theorems in ({}, {claim.formal: "Axioms: anything"}):
         monkeypatch.setattr(formal, "record", lambda theorems=theorems: replace(kept, theorems=theorems))
-        assert cli.main(["verify", "lemma-5", "--fast"]) == cli.MISSED
+        assert cli.main(["verify", "lemma-5", "--fast"]) == _status.MISSED
         out = capsys.readouterr().out
         assert f"the record of Coq's results does not have the theorem {claim.formal}" in out
         assert "machine-checked" not in out
@@ -590,7 +590,7 @@ def test_verify_fails_where_coq_has_not_checked_a_theorem(monkeypatch, capsys):
 
 
 def test_check_explains_the_words_that_it_uses(config, capsys):
-    assert cli.main(["check", str(config()), "--run"]) == cli.MISSED  # a run of 42 steps has not converged
+    assert cli.main(["check", str(config()), "--run"]) == _status.MISSED  # a run of 42 steps has not converged
     out = capsys.readouterr().out
     lines = out.splitlines()
     for said in ("met: holds", "note: a number", "N_y, N_v: the numbers", "lifted pair: the model", "s+: the smallest"):
@@ -607,7 +607,7 @@ def test_check_explains_the_words_that_it_uses(config, capsys):
     ],
 )
 def test_a_comparison_has_limits(capsys, asked, sentence):
-    assert cli.main(["compare", "toy", *asked]) == cli.BAD_INPUT
+    assert cli.main(["compare", "toy", *asked]) == _status.BAD_INPUT
     assert capsys.readouterr().err == f"rhl: {sentence}\n"
 
 

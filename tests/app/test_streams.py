@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from rhl import _files
-from rhl.app import cli
-from rhl.app._status import STOPPED
+from rhl.app import _status, cli
 from rhl.app._streams import STDOUT, interruptible, printable, target_name
 from rhl.errors import InputError
 from rhl.paper.published import Experiment
@@ -120,7 +119,7 @@ def test_an_encoding_that_lacks_letters_shows_them_escaped(folder, environment):
 )
 def test_links_in_a_circle_and_other_names(folder, capsys, call, says):
     Path("-").write_text("mine", encoding="utf-8")
-    assert cli.main(call) == cli.BAD_INPUT
+    assert cli.main(call) == _status.BAD_INPUT
     streams = capsys.readouterr()
     assert streams.err.startswith(f"rhl: {says}")
     assert streams.err.count("\n") == 1
@@ -176,7 +175,7 @@ def test_every_result_can_be_printed(folder, capsys, call, begins, words):
 
 def test_a_run_that_stops_at_once_prints_the_heading(folder, capsys):
     Path("run.toml").write_text(but("-10]", "1e200]"), encoding="utf-8")
-    assert cli.main(["run", "run.toml", "--output", "-"]) == STOPPED
+    assert cli.main(["run", "run.toml", "--output", "-"]) == _status.STOPPED
     assert capsys.readouterr().out == "k,y1,v1,yhat1,z1,z2,z3,weight,lambda\n"
 
 
@@ -215,7 +214,7 @@ def test_a_file_that_appears_during_the_run_is_kept(folder, capsys, monkeypatch,
         monkeypatch.setattr(os, "link", without)
     monkeypatch.setattr(Experiment, "run", overtaken)
     before = {entry.name for entry in folder.iterdir()}
-    assert cli.main(RUN.split()) == cli.BAD_INPUT
+    assert cli.main(RUN.split()) == _status.BAD_INPUT
     assert capsys.readouterr().err == (
         "rhl: t.csv must be a new file, got one that another program has made meanwhile; choose another name\n"
     )
@@ -241,7 +240,7 @@ def test_force_keeps_a_good_file_where_no_row_was_made(folder, capsys, monkeypat
             raise KeyboardInterrupt
 
         monkeypatch.setattr(Experiment, "run", interrupted)
-    assert cli.main([*RUN.split(), "--force"]) in (STOPPED, cli.INTERRUPTED)
+    assert cli.main([*RUN.split(), "--force"]) in (_status.STOPPED, _status.INTERRUPTED)
     assert capsys.readouterr().err.endswith("; there is no row before it, and t.csv is unchanged\n")
     assert Path("t.csv").read_bytes() == good
 
@@ -269,7 +268,7 @@ def test_a_terminal_that_is_closed_keeps_the_rows(folder):
     process = started([sys.executable, "-c", code], stdin=side, stdout=side, stderr=side, start_new_session=True)
     os.close(side)
     os.close(main)
-    assert process.wait(timeout=60) == cli.INTERRUPTED
+    assert process.wait(timeout=60) == _status.INTERRUPTED
     assert 10 <= whole_rows("t.csv") < 100000
 
 
@@ -287,7 +286,7 @@ def test_a_hangup_interrupts_unless_it_is_ignored(folder, ignored):
         process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=60)
     rows = whole_rows("t.csv")
-    assert process.returncode == cli.INTERRUPTED
+    assert process.returncode == _status.INTERRUPTED
     assert err == f"rhl: the run was interrupted at k = {rows}; the {rows} rows before it are in t.csv\n"
 
 
