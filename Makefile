@@ -11,7 +11,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign lock clean
+.PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign clean-room audit lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -64,6 +64,12 @@ bench: env ## measure how fast the library is
 
 campaign: env ## run the campaigns behind the page on many plants anew, or go on with them, about 10 minutes
 	OPENBLAS_NUM_THREADS=1 python tools/campaign.py build/campaign --workers 2
+
+clean-room: env ## build the package, install it into empty environments, and try its commands and notebooks there
+	python tools/clean_room.py --notebooks all
+
+audit: env ## ask for known weaknesses of every package that environment.lock pins; needs the advisory service of PyPI
+	uv tool run --from pip-audit==2.10.1 pip-audit --requirement environment.lock --require-hashes --disable-pip --strict
 
 lock: $(BIN)/uv ## resolve pyproject.toml anew into environment.lock
 	$(BIN)/python tools/lock.py $(BIN)/uv

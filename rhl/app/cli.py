@@ -329,7 +329,6 @@ def _schema(options: argparse.Namespace) -> int:
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from rhl.app._verify import verified
     from rhl.paper.claims import ledger
     from rhl.paper.claims.claim import Effort
 
@@ -344,6 +343,8 @@ def _verify(options: argparse.Namespace) -> int:
         return OK
     for package in ("sympy", "flint"):  # a missing package is reported before any claim is checked
         __import__(package)
+    from rhl.app._verify import verified
+
     done = verified(options, claims, effort)
     if len(done) < len(claims):
         return INTERRUPTED
