@@ -182,7 +182,7 @@ def test_a_state_of_another_model_is_refused(tmp_path):
     """The same histories, but a signal with more entries."""
     plain = window_scheme(1, 1, 2)
     lifting = replace(plain.lifting, basis=Polynomials(2))
-    n, m = lifting.size(1), plain.initial_model.m
+    n, m = lifting.size(1), plain.initial_model.B.shape[1]
     model = SignalModel(np.eye(n), np.zeros((n, m)))
     wide = replace(plain, lifting=lifting, initial_model=model)
     controller = LiveController(wide)
