@@ -161,5 +161,7 @@ def test_bounds_of_other_sizes():
         V1(SignalModel([[1.0]], [[1.0]]), 1.0, 1.0, 1.0, 1.0, 3, InputBounds([-1.0, -1.0], [1.0, 1.0]))
     with pytest.raises(InputError, match=r"bounds must be numbers or have 1 entries, one for each input, got \(2,\)"):
         default_scheme(1, 1, 1, bounds=Saturation([-1.0, -2.0], [1.0, 2.0]), inputs=0.1)
+    with pytest.raises(InputError, match=r"bounds must be an? InputBounds, got"):
+        V1(SignalModel([[1.0]], [[1.0]]), 1.0, 1.0, 1.0, 1.0, 3, Saturation(-1.0, 1.0))
     with pytest.raises(InputError, match="bounds must be a Saturation, got 1"):
         default_scheme(1, 1, 1, bounds=1, inputs=0.1)

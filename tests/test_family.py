@@ -65,6 +65,11 @@ def test_a_member_is_changed_only_below_the_share(own, kept):
     assert (float(scalar_margin(chosen)) == own) is kept
 
 
+def test_what_is_no_estimate_is_refused():
+    with pytest.raises(InputError, match="estimate must be a SignalModel, got"):
+        ModelFamily.grid(1, 1, 1, 1).choose(np.array(0), [[1.0]], np.eye(2), lambda model: model)
+
+
 def test_a_batch_is_its_members():
     rng, family = np.random.default_rng(2), ModelFamily.grid(1, 1, 1, 1)
     estimate = SignalModel(rng.normal(size=(4, 1, 1)), rng.normal(size=(4, 1, 1)) * [[[1e-3]], [[1]], [[1]], [[0]]])

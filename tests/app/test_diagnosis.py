@@ -287,8 +287,11 @@ def test_a_set_point_that_no_input_holds():
 def test_a_run_with_a_set_point_is_judged_by_outputs_and_increments():
     tank = example("quadruple-tank").plant
     scheme = default_scheme(2, 2, 2, set_point=SetPoint([0.5, -0.25]))
-    found = diagnose_run(simulate(scheme, tank, np.zeros(4), 100))
+    run = simulate(scheme, tank, np.zeros(4), 100)
+    found = diagnose_run(run)
     assert verdicts(found)["Set point"] == "met"
+    moves = np.abs(np.diff(run.v, axis=0)).max(axis=1)
+    assert f"|v(k) - v(k-1)| there {moves[-10:].max():.3g}" in says(found, "Set point")
     assert "|y - r|" in says(found, "Set point")
     plain = diagnose_run(simulate(default_scheme(2, 2, 2), tank, np.ones(4), 100, load=Offset(0.4)))
     assert verdicts(plain)["State and input go to zero in this run"] == "suspect"
