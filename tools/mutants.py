@@ -186,7 +186,8 @@ def _run_tests(tree: Path, cache: str, tests: list[str]) -> None:
             if report.failed:
                 (tree.parent / NOTICED_BY).write_text(f"collecting {report.nodeid}", encoding="utf-8")
 
-    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    # numpy asks for this warning to be ignored when it is imported, which here is before pytest sets its filters.
+    options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-W", "ignore:the matrix subclass"]
     os._exit(1 if pytest.main([*options, *tests], [First]) else 0)
 
 
