@@ -152,6 +152,17 @@ def without_example(source):
     return found
 
 
+def lost_members(page):
+    """Names that a page of the library asks of a module that has no such name."""
+    asked = re.findall(r"automodule:: rhl\.(\S+)\n +:members: (.+)", page)
+    return [name for module, names in asked for name in names.split(", ") if name not in definitions(SOURCES[module])]
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("book/api*.md")), ids=lambda path: path.name)
+def test_pages_name_what_is_there(page):
+    assert lost_members(page.read_text(encoding="utf-8")) == []
+
+
 @pytest.mark.parametrize("module", sorted(name for name in SOURCES if is_public(name)))
 def test_public_names_are_documented(module):
     assert undocumented(module, SOURCES[module]) == []
@@ -168,6 +179,7 @@ def test_what_rhl_offers_is_used_by_a_test():
 
 
 def test_names_that_lack_something_are_noticed():
+    assert lost_members(".. automodule:: rhl.horizon\n   :members: solve, solved\n") == ["solved"]
     bare = "def no_one_knows(): pass\nclass _Hidden: pass\n"
     assert undocumented("model", bare) == ["no_one_knows"]
     assert undocumented("model", bare.replace("pass", '"""Return nothing."""')) == []
