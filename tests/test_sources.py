@@ -4,12 +4,13 @@ import ast
 import doctest
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 import rhl
-from tests.test_imports import CORE, SOURCES
+from tests.test_imports import CORE, SOURCES, STUDY
 
 ROOT = Path(__file__).resolve().parent.parent
 LINES = 400
@@ -72,6 +73,7 @@ def members(source):
     return [name for name in found if not name.startswith("__")]
 
 
+@cache
 def names_in(code):
     """The names that a program loads, imports or writes as a string, such as the name of a method."""
     found = set()
@@ -107,6 +109,7 @@ def code_of_page(text):
         yield "".join(code for code, _ in examples) if examples else re.sub(r"^:.*\n", "", block, flags=re.MULTILINE)
 
 
+@cache
 def pages():
     """The code of every page, cell by cell, and the prose of all."""
     code, prose = [], []
@@ -120,13 +123,28 @@ def pages():
     return code, "\n".join(prose)
 
 
-CODE, PROSE = pages()
-ON_PAGES = set().union(*map(names_in, CODE))
-IN_EXAMPLES = set().union(*map(names_in_examples, SOURCES.values()))
-REFERRED = {part for path in re.findall(r"rhl(?:\.\w+)+", PROSE) for part in path.split(".")}
-# Not the tests that list names.
-TESTS = [path for path in ROOT.glob("tests/**/*.py") if path.name not in ("test_public_names.py", Path(__file__).name)]
-IN_TESTS = set().union(*(names_in(path.read_text(encoding="utf-8")) for path in TESTS))
+@cache
+def on_pages():
+    return set().union(*map(names_in, pages()[0]))
+
+
+@cache
+def shown():
+    """The names in code on pages, in examples of the library, and in what pages refer to."""
+    examples = set().union(*map(names_in_examples, SOURCES.values()))
+    referred = {part for path in re.findall(r"rhl(?:\.\w+)+", pages()[1]) for part in path.split(".")}
+    return on_pages() | examples | referred
+
+
+@cache
+def in_tests():
+    """The names in tests, except in those that list names."""
+    paths = [
+        path for path in ROOT.glob("tests/**/*.py") if path.name not in ("test_public_names.py", Path(__file__).name)
+    ]
+    return set().union(*(names_in(path.read_text(encoding="utf-8")) for path in paths))
+
+
 DOCUMENTED = {
     module.removeprefix("rhl.")
     for path in ROOT.glob("book/api*.md")
@@ -146,10 +164,20 @@ def without_example(source):
     """The public names of a module that no example, no code of a page and no reference on a page shows."""
     found = []
     for name, node in definitions(source).items():
-        shown = name in ON_PAGES | IN_EXAMPLES | REFERRED or examples_in(ast.get_docstring(node) or "")
-        if not name.startswith("_") and not shown:
+        if not name.startswith("_") and name not in shown() and not examples_in(ast.get_docstring(node) or ""):
             found.append(name)
     return found
+
+
+def lost_members(page):
+    """Names that a page of the library asks of a module that has no such name."""
+    asked = re.findall(r"automodule:: rhl\.(\S+)\n +:members: (.+)", page)
+    return [name for module, names in asked for name in names.split(", ") if name not in definitions(SOURCES[module])]
+
+
+@pytest.mark.parametrize("page", sorted(ROOT.glob("book/api*.md")), ids=lambda path: path.name)
+def test_pages_name_what_is_there(page):
+    assert lost_members(page.read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize("module", sorted(name for name in SOURCES if is_public(name)))
@@ -157,17 +185,18 @@ def test_public_names_are_documented(module):
     assert undocumented(module, SOURCES[module]) == []
 
 
-@pytest.mark.parametrize("module", [name for name in CORE if is_public(name) and name not in ON_NO_PAGE])
-def test_public_names_of_the_core_have_an_example(module):
+@pytest.mark.parametrize("module", [name for name in [*CORE, *STUDY] if is_public(name) and name not in ON_NO_PAGE])
+def test_public_names_have_an_example(module):
     assert without_example(SOURCES[module]) == []
 
 
 def test_what_rhl_offers_is_used_by_a_test():
-    assert sorted(set(rhl.__all__) - IN_TESTS) == []
-    assert sorted({"Step", "no_test_knows"} - IN_TESTS) == ["no_test_knows"]
+    assert sorted(set(rhl.__all__) - in_tests()) == []
+    assert sorted({"Step", "no_test_knows"} - in_tests()) == ["no_test_knows"]
 
 
 def test_names_that_lack_something_are_noticed():
+    assert lost_members(".. automodule:: rhl.horizon\n   :members: solve, solved\n") == ["solved"]
     bare = "def no_one_knows(): pass\nclass _Hidden: pass\n"
     assert undocumented("model", bare) == ["no_one_knows"]
     assert undocumented("model", bare.replace("pass", '"""Return nothing."""')) == []
@@ -183,8 +212,7 @@ def unused(sources, elsewhere):
     """Names that neither a module of these nor code elsewhere uses."""
     used = set().union(elsewhere, *map(names_in, sources.values()))
     return sorted(
-        {f"{module}: {name}" for module, source in sources.items() for name in members(source)}
-        - {f"{module}: {name}" for module in sources for name in used}
+        f"{module}: {name}" for module, source in sources.items() for name in members(source) if name not in used
     )
 
 
@@ -192,8 +220,9 @@ def test_nothing_is_there_for_the_tests_alone():
     """Names that only tests use are none of the library's, unless an example shows them to readers."""
     scripts = [path for folder in ("tools", "book", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
     used = set().union(*(names_in(path.read_text(encoding="utf-8")) for path in scripts))
-    # IPython calls `_repr_html_`, and Python the functions of a module named `__getattr__` and so on.
-    assert unused(SOURCES, used | ON_PAGES | IN_EXAMPLES | {"_repr_html_"}) == []
+    examples = set().union(*map(names_in_examples, SOURCES.values()))
+    # IPython calls `_repr_html_`.
+    assert unused(SOURCES, used | on_pages() | examples | {"_repr_html_"}) == []
 
 
 def test_dead_code_is_noticed():

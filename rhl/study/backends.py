@@ -40,7 +40,13 @@ def in_process() -> Backend:
 
 
 def processes(count: int) -> Backend:
-    """Return a backend of that many worker processes, which end with this process in any case."""
+    """Return a backend of that many worker processes, which end with this process in any case.
+
+    Examples
+    --------
+    >>> processes(2).ahead  # so many tasks wait for them
+    4
+    """
     integer("workers", count, 1)
 
     @contextmanager
@@ -77,6 +83,12 @@ def cluster(address: str, timeout: float = 10.0) -> Backend:
 
     InputError if no scheduler answers in ``timeout`` seconds, or it has no workers. If a worker is lost, Dask gives
     its tasks to others, a few times.
+
+    Examples
+    --------
+    >>> cluster("127.0.0.1")
+    Traceback (most recent call last):
+    rhl.errors.InputError: --scheduler must be the address of a Dask scheduler that answers, got '127.0.0.1': ...
     """
     import distributed
     from distributed.comm.addressing import parse_address, parse_host_port

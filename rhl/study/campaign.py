@@ -30,7 +30,13 @@ _REST, _LAST, _SETTLED = 0.05, 20, 0.01
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a campaign's results: type and unit of its entries, and its description."""
+    """A variable of a campaign's results: type and unit of its entries, and its description.
+
+    Examples
+    --------
+    >>> RUN_VARIABLES["settled_at"].units
+    'step'
+    """
 
     dtype: str
     units: str
@@ -68,7 +74,13 @@ PLANT_VARIABLES = {
 
 
 class LostWorkersError(RHLError):
-    """Workers of a campaign were lost repeatedly."""
+    """Workers of a campaign were lost repeatedly.
+
+    Examples
+    --------
+    >>> issubclass(LostWorkersError, RHLError)
+    True
+    """
 
 
 @dataclass(frozen=True)
@@ -227,7 +239,23 @@ def _scores(trace: Trace) -> dict[str, np.ndarray]:
 
 
 class Results(Protocol):
-    """The storage of a campaign's results."""
+    """The storage of a campaign's results.
+
+    Examples
+    --------
+    >>> from rhl.study.backends import in_process
+    >>> from rhl.study.ensembles import RandomPlants
+    >>> class InMemory(dict):
+    ...     def done(self):
+    ...         return set(self)
+    ...
+    ...     def write(self, task, found):
+    ...         self[task] = found
+    >>> results = InMemory()
+    >>> run(Campaign(RandomPlants(seed=1, count=2), (Choice("default"),), steps=40), results, in_process())
+    >>> [task.name for task in results]
+    ['plants-0', '0-0']
+    """
 
     def done(self) -> set[Task]:
         """Return the names of the completed tasks."""
@@ -250,6 +278,12 @@ class Backend:
         The exceptions raised when workers are lost.
     check : callable, optional
         Called every few seconds while no task completes; raises if none will.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> Backend(lambda: ThreadPoolExecutor(2), ahead=4).ahead
+    4
     """
 
     executor: Callable[[], AbstractContextManager[Executor]]

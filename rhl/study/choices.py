@@ -45,6 +45,11 @@ class Choice:
         The number of transitions in a window, in multiples of the scheme's order; 2 by default.
     units : bool, optional
         Whether the default scheme's weights use running units.
+
+    Examples
+    --------
+    >>> Choice("longer plans", horizon=50).scheme(p=1, q=1, bound=2).controller.horizon
+    50
     """
 
     label: str

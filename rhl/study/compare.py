@@ -57,6 +57,11 @@ def our_scheme(p: int, q: int, order: int, bound: Array | None = None, noise: Ar
 
     Its plans keep the bound of each input, shape (q,), and it knows the standard deviation of the outputs' errors, a
     number or shape (p,).
+
+    Examples
+    --------
+    >>> our_scheme(1, 1, 2, bound=np.array([0.5])).controller.bounds.high
+    array([0.5])
     """
     bounds = None if bound is None else Saturation(-bound, bound)
     return default_scheme(p, q, order, noise=noise, bounds=bounds)
@@ -126,6 +131,12 @@ class Score:
         The bound of inputs, see ``rivals.pose``.
     failure : str
         The error of the method, on one line; "" if there was none.
+
+    Examples
+    --------
+    >>> (score,) = compare(LinearPlant([[1.2]], [[1.0]], [[1.0]]), [1.0], 1, 60, methods=["known-plant"])
+    >>> score.at_rest, score.cost, score.failure
+    (True, 1.0, '')
     """
 
     method: str
@@ -283,6 +294,12 @@ class Summary:
 
     ``at_rest`` counts the runs at rest, ``low_peak`` those of them with a peak below 100. ``peak``, ``cost`` and
     ``step_time`` are medians over all runs, infinite if half of them diverged.
+
+    Examples
+    --------
+    >>> scores = compare(LinearPlant([[1.2]], [[1.0]], [[1.0]]), [1.0], 1, 60, methods=["known-plant"])
+    >>> summaries(scores)[0].runs
+    1
     """
 
     method: str

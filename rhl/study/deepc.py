@@ -40,6 +40,16 @@ class Predictor:
         lambda_g and lambda_y.
     bound : array, shape (q,), or None
         b, for each input; None: inputs are free.
+
+    Examples
+    --------
+    >>> u, y, one = np.random.default_rng(0).standard_normal((12, 1)), np.zeros((12, 1)), np.eye(1)
+    >>> for k in range(11):
+    ...     y[k + 1] = 1.2 * y[k] + u[k]
+    >>> (Up, Uf), (Yp, Yf) = (np.split(hankel(signal, 4), [1]) for signal in (u, y))
+    >>> plan = Predictor(Up, Yp, Uf, Yf, one, one, 1e-8, 1e8).plan(u=0 * one, y=one)
+    >>> plan.shape, bool(plan[0, 0] < -0.5)  # the next output is 1.2 without an input
+    ((3, 1), True)
     """
 
     Up: Array
@@ -127,7 +137,14 @@ class Predictor:
 
 
 def hankel(signal: Array, length: int) -> Array:
-    """Return the block Hankel matrix of a signal, shape (T, size): (length size, T - length + 1)."""
+    """Return the block Hankel matrix of a signal, shape (T, size): (length size, T - length + 1).
+
+    Examples
+    --------
+    >>> hankel(np.arange(4.0)[:, None], 2)
+    array([[0., 1., 2.],
+           [1., 2., 3.]])
+    """
     columns = len(signal) - length + 1
     return np.stack([signal[i : i + length].ravel() for i in range(columns)], axis=1)
 

@@ -33,6 +33,12 @@ class Drawn:
         A bound on its observability index, which a scheme may know.
     sampling : float
         Seconds between samples; 0 for a plant drawn in discrete time.
+
+    Examples
+    --------
+    >>> drawn = RandomPlants(seed=1, count=1, n=(3,)).draw(0)
+    >>> drawn.F.shape, drawn.size
+    ((3, 3), (3, 1, 1, 3))
     """
 
     F: Array
@@ -53,7 +59,14 @@ class Drawn:
 
 
 class Ensemble(Protocol):
-    """Plants by number; each is independent of the order of access."""
+    """Plants by number; each is independent of the order of access.
+
+    Examples
+    --------
+    >>> plants: Ensemble = BenchmarkPlants(("toy", "ac1"))
+    >>> len(plants), plants.labels()
+    (2, ['toy', 'ac1'])
+    """
 
     def __len__(self) -> int:
         """Return the number of plants."""

@@ -55,6 +55,8 @@ def recorded() -> tuple[Cell, ...]:
     >>> known = [cell for cell in recorded() if cell.method == "known-plant" and not cell.bounded and not cell.noise]
     >>> {cell.cost for cell in known}
     {1.0}
+    >>> recorded()[0]
+    Cell(plant='ac1', method='known-plant', noise=0.0, bounded=False, runs=1, at_rest=1, ...)
     """
     text = files("rhl").joinpath("study", "data", "comparison.csv").read_text(encoding="utf-8")
     return tuple(
@@ -71,7 +73,14 @@ def recorded() -> tuple[Cell, ...]:
 
 
 def condensed(rows: Iterable[dict[str, str]]) -> list[Cell]:
-    """Condense rows of ``rhl compare --output`` to a cell for each plant, method, noise and bound."""
+    """Condense rows of ``rhl compare --output`` to a cell for each plant, method, noise and bound.
+
+    Examples
+    --------
+    >>> row = {"plant": "toy", "method": "deepc", "noise": "0", "bounded": "", "at_rest": "1", "cost": "2.5"}
+    >>> [cell.runs for cell in condensed([row | {"peak": "1.5"}, row | {"peak": "2.5"}])]
+    [2]
+    """
     groups: dict[tuple[str, str, float, bool], list[dict[str, str]]] = {}
     for row in rows:
         key = row["plant"], row["method"], float(row["noise"]), row["bounded"] != ""

@@ -89,6 +89,12 @@ class Run:
     """A run: outputs y without the sensor's errors, shape (steps, p), and applied inputs v, shape (steps, q).
 
     ``wanted`` is the requested number of steps; fewer rows mean that an output exceeded 1e100.
+
+    Examples
+    --------
+    >>> run = known_plant(pose(LinearPlant([[1.2]], [[1.0]], [[1.0]]), [1.0], order=1, steps=30))
+    >>> run.y.shape, run.v.shape, run.wanted, bool(abs(run.y[-1, 0]) < 1e-6)
+    ((30, 1), (30, 1), 30, True)
     """
 
     y: Array
@@ -188,6 +194,12 @@ def excite_identify_regulate(task: Task) -> Run:
     It uses the same information as the scheme: outputs, inputs and ``order``, the number of each that is stacked.
     Exciting inputs are normal with standard deviation ``task.size``. Data suffice if their rank no longer increases and
     there are more rows than that; with noise, if there are ten rows for each unknown of a row of the model.
+
+    Examples
+    --------
+    >>> run = excite_identify_regulate(pose(LinearPlant([[1.2]], [[1.0]], [[1.0]]), [1.0], order=1, steps=30))
+    >>> bool(abs(run.y[-1, 0]) < 1e-6)
+    True
     """
     m, rng = task.order, task.rng()
     p, q, W, R = task.plant.p, task.plant.q, task.W, task.R
@@ -225,7 +237,14 @@ def excite_identify_regulate(task: Task) -> Run:
 
 
 def regulator(A: Array, B: Array, seen: Array, R: Array, steps: int) -> Array:
-    """Return the gains that minimise the sum of |seen z|^2 + |v|_R^2 over the steps, shape (..., steps, q, n)."""
+    """Return the gains that minimise the sum of |seen z|^2 + |v|_R^2 over the steps, shape (..., steps, q, n).
+
+    Examples
+    --------
+    >>> one = np.eye(1)
+    >>> regulator(1.2 * one, one, one, one, steps=50)[0].round(3)
+    array([[0.794]])
+    """
     n = A.shape[-1]
     triangle = np.zeros((n, n))
     factored = np.linalg.qr(seen, mode="r")

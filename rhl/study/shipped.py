@@ -51,6 +51,24 @@ def condense(results: xr.Dataset) -> dict[str, Any]:
         interval of spectral radii (the last has no upper end), and "by_margin": with the lower end ``margin`` of an
         interval of the lesser of the two margins, of plants with a mode that does not decay. "plants": the numbers of
         some plants, and their runs as in "by_name". A peak is None if the run diverged.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from rhl.study.backends import in_process
+    >>> from rhl.study.campaign import Campaign, run, summary
+    >>> from rhl.study.choices import Choice
+    >>> from rhl.study.ensembles import RandomPlants
+    >>> from rhl.study.store import Store
+    >>> campaign = Campaign(RandomPlants(seed=1, count=2), (Choice("default"),), steps=40)
+    >>> with TemporaryDirectory() as folder:
+    ...     store = Store.create(f"{folder}/few", campaign, "", {})
+    ...     run(campaign, store, in_process())
+    ...     results = store.dataset()
+    >>> [(row["scheme"], row["plants"], row["diverged"]) for row in summary(results)]
+    [('default', 2, 0.0)]
+    >>> [row["plants"] for row in condense(results)["all"]]
+    [2]
     """
     found: dict[str, Any] = {"all": summary(results)}
     radius, sampling = results.spectral_radius.values, results.sampling.values

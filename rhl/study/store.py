@@ -41,6 +41,11 @@ def versions() -> dict[str, str]:
     """Return what results depend on besides the configuration: versions, the library's source, and a lock file if any.
 
     The machine is not included, although another processor may round differently.
+
+    Examples
+    --------
+    >>> {"python", "numpy", "source of rhl"} <= set(versions())
+    True
     """
     found = {"rhl": rhl.__version__, "python": platform.python_version()}
     found |= {name: version(name) for name in ("numpy", "scipy", "numba")}
@@ -57,7 +62,13 @@ def versions() -> dict[str, str]:
 
 
 class StoreError(RHLError):
-    """The store cannot be written; its contents stay."""
+    """The store cannot be written; its contents stay.
+
+    Examples
+    --------
+    >>> print(StoreError(Path("few"), OSError(errno.ENOSPC, "No space left on device")))
+    few must take the results, got: No space left on device; make room
+    """
 
     def __init__(self, path: Path, error: OSError) -> None:
         full = "; make room" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
