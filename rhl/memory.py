@@ -80,7 +80,9 @@ class GrowingMemory:
             raise InputError(f"data must have shape ({d}, {d + n}), as begin returns it, got {data.shape[-2:]}")
         theta = np.concatenate([centre.A, centre.B], axis=-1)
         T, Z = data[..., :d], data[..., d:]
-        off = Z - T @ theta.swapaxes(-1, -2)
+        # Copies, because some versions of numpy sum in an order that depends on the layout, and a run must have equal
+        # bits alone and in a batch.
+        off = Z - np.ascontiguousarray(T) @ np.ascontiguousarray(theta.swapaxes(-1, -2))
         rows = np.concatenate([np.broadcast_to(T, (*off.shape[:-2], d, d)), off], axis=-1)
         triangle, lead = self._held(rows, size)
         loops.back_substitute(triangle, d)

@@ -188,9 +188,14 @@ class Store:
             expected = (self.path / _MARKERS / task.name).read_text(encoding="ascii")
         except (FileNotFoundError, ValueError):
             return False
-        names, at = PLANT_VARIABLES if task.scheme is None else RUN_VARIABLES, self._selection(task)
+        variables, at = PLANT_VARIABLES if task.scheme is None else RUN_VARIABLES, self._selection(task)
         try:
-            return _digest({name: np.asarray(self._arrays[name][at]).reshape(-1) for name in names}) == expected
+            # Some versions of xarray store truth values as integers.
+            found = {
+                name: np.asarray(self._arrays[name][at]).reshape(-1).astype(about.dtype)
+                for name, about in variables.items()
+            }
+            return _digest(found) == expected
         except (OSError, ValueError, RuntimeError):  # a truncated chunk does not unpack
             return False
 

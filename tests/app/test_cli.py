@@ -380,7 +380,7 @@ def test_what_needs_no_such_package_does_without(config, tmp_path):
 
 
 def test_another_missing_module_is_no_matter_of_an_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "rhl.app.templates", None)
+    monkeypatch.setitem(sys.modules, "rhl.app._templates", None)
     with pytest.raises(ImportError):
         cli.main(["new", "mine"])
 
