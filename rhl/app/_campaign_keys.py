@@ -171,12 +171,16 @@ class CampaignFile(Section):
     )
     input_bound = key("{}: inputs are clipped to plus and minus this; no bound if left out", POSITIVE, default=None)
     chunk = key(
-        "{}, the number of plants in a task and in a chunk of the store; results do not depend on it",
+        "{}, the number of plants in a task and in a chunk of the store; results do not depend on it; a task holds at "
+        "most 2 GB, and there are at most 100000 tasks",
         integer(1, 1_000_000),
         default=250,
     )
     plants = key("{}", table_of(RandomSection, SampledSection, BenchmarkSection))
-    schemes = key("a list of at least one section [[schemes]]", list_of({"type": "object"}))
+    schemes = key(
+        "a list of at least one section [[schemes]], at most 1000 schemes; plants times schemes are at most 20 million",
+        list_of({"type": "object"}),
+    )
 
     @classmethod
     def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:

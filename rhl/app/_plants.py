@@ -46,7 +46,7 @@ class TransferSection(Section):
     )
     den = key(
         "a list of finite numbers, the denominator's coefficients, more of them than num has; for several inputs and "
-        "outputs like num, or one list for all",
+        "outputs like num, or one list for all; at most 1000 coefficients in all channels",
         VECTOR,
         _CHANNELS,
     )
