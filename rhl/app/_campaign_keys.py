@@ -43,7 +43,11 @@ class RandomSection(Section):
     """[plants] with kind = "random": random linear plants in discrete time."""
 
     kind = key('"random"')
-    count = key("{}, how many plants for each combination of the sizes", integer(1, 10_000_000))
+    count = key(
+        "{}, how many plants for each combination of the sizes; there are at most 1000 schemes, and plants times schemes "
+        "are at most 20 million",
+        integer(1, 10_000_000),
+    )
     n = key("{}, the order, or a list of such", SIZE, _SIZES, default=4)
     p = key("{}, the number of outputs, or a list of such", SIZE, _SIZES, default=1)
     q = key("{}, the number of inputs, or a list of such", SIZE, _SIZES, default=1)
@@ -177,10 +181,7 @@ class CampaignFile(Section):
         default=250,
     )
     plants = key("{}", table_of(RandomSection, SampledSection, BenchmarkSection))
-    schemes = key(
-        "a list of at least one section [[schemes]], at most 1000 schemes; plants times schemes are at most 20 million",
-        list_of({"type": "object"}),
-    )
+    schemes = key("a list of at least one section [[schemes]]", list_of({"type": "object"}))
 
     @classmethod
     def read(cls, at: str, table: dict[Any, Any], wrong: list[tuple[bool, str]], changes: bool = False) -> Self:
