@@ -44,8 +44,8 @@ class RandomSection(Section):
 
     kind = key('"random"')
     count = key(
-        "{}, how many plants for each combination of the sizes; there are at most 1000 schemes, and plants times schemes "
-        "are at most 20 million",
+        "{}, how many plants for each combination of the sizes; there are at most 1000 schemes, and plants times "
+        "schemes are at most 20 million",
         integer(1, 10_000_000),
     )
     n = key("{}, the order, or a list of such", SIZE, _SIZES, default=4)
