@@ -2,6 +2,7 @@
 PYTHON ?= python3
 PORT ?= 8000
 SITE ?= build/rhl-book.tar.gz
+TESTS ?=
 
 SHELL := bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -11,7 +12,7 @@ SHELL := bash
 BIN := .venv/bin
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign clean-room audit lock clean
+.PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign repeatable elsewhere clean-room audit lock clean
 
 help: ## list these commands
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
@@ -64,6 +65,12 @@ bench: env ## measure how fast the library is
 
 campaign: env ## run the campaigns behind the page on many plants anew, or go on with them, about 10 minutes
 	OPENBLAS_NUM_THREADS=1 python tools/campaign.py build/campaign --workers 2
+
+repeatable: env ## build the committed book twice, in two folders, and compare the sites byte by byte
+	python tools/repeatable.py build/repeatable
+
+elsewhere: env ## compute the numbers with other threads, BLAS kernels, versions of packages and of Python (TESTS=--tests adds tests)
+	python tools/elsewhere.py $(TESTS)
 
 clean-room: env ## build the package, install it into empty environments, and try its commands and notebooks there
 	python tools/clean_room.py --notebooks all

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 
 from rhl import plotting
+from rhl.app._templates import template
 from rhl.app.config import load, parse
 from rhl.app.diagnosis import Finding, diagnose, diagnose_run
-from rhl.app.templates import template
 from rhl.basis import Features, Polynomials, Terms
 from rhl.closed_loop import advance, replay, start, step
 from rhl.constraints import LinearConstraints
@@ -28,7 +28,8 @@ from rhl.paper.published import compare_linear, compare_robot, curve, robot_arm
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants._realisation import observable_basis
 from rhl.plants.analysis import detectability, linearise, observable_part, rough_model, stabilizability
-from rhl.plants.examples import CartPendulum, example, flexible_shaft, quadruple_tank
+from rhl.plants.cart_pendulum import CartPendulum
+from rhl.plants.examples import example, flexible_shaft, quadruple_tank
 from rhl.problems import V1, V2, V3
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.scheme import Scheme, window_scheme

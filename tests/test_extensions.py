@@ -1,5 +1,7 @@
 """The book's Sphinx extensions: what they make of a page's text, and what they refuse."""
 
+import re
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +15,7 @@ from tests.conftest import HTML, ROOT, current_book
 
 sys.path.insert(0, str(ROOT / "book/_ext"))
 
+import built_from
 import lean_pages
 import leftovers
 import local_mathjax
@@ -71,6 +74,62 @@ def test_bibtex_is_the_bibliography_and_the_companion():
     assert entries.count("{") == entries.count("}")
 
 
+def notebook_of(id, count, memory, **metadata):
+    shown = {"data": {"text/plain": f"<Styler at {memory}>", "text/html": "<b>"}, "metadata": {}}
+    result = shown | {"output_type": "execute_result", "execution_count": count}
+    printed = {"output_type": "stream", "name": "stdout", "text": f"at {memory}>"}
+    outputs = [result, shown | {"output_type": "display_data"}, printed]
+    code = {"cell_type": "code", "execution_count": count, "id": id, "metadata": metadata, "outputs": outputs}
+    return {"cells": [{"cell_type": "markdown", "id": f"{id}0", "metadata": {}, "source": "a"}, code], "metadata": {}}
+
+
+def test_an_executed_notebook_has_nothing_at_random():
+    one = take_away.settled(notebook_of("a", None, "0x7f01", execution={"iopub.status.busy": "now"}, tags=["x"]))
+    assert one["cells"][1]["outputs"][0]["data"] == {"text/plain": ["<Styler>"], "text/html": "<b>"}
+    assert one["cells"][1]["metadata"] == {"tags": ["x"]}
+    assert [cell["id"] for cell in one["cells"]] == ["cell-0", "cell-1"]
+    assert one == take_away.settled(notebook_of("b", 7, "0x7f01", tags=["x"]))
+    # What a cell prints itself is not changed, and would show in two builds.
+    assert one != take_away.settled(notebook_of("b", 7, "0x7f02", tags=["x"]))
+
+
+# ---------------------------------------------------------------- where the book comes from
+
+
+def git(folder, *command):
+    own = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
+    subprocess.run(["git", *own, *command], cwd=folder, check=True, capture_output=True)
+
+
+def test_the_commit_is_named_and_what_is_not_committed(tmp_path):
+    root = tmp_path / "project"
+    root.mkdir()
+    assert built_from.commit(root)[1] == ""
+    git(root, "init", "--quiet")
+    assert built_from.commit(root)[1] == ""  # there is no commit yet
+    (root / "a").write_text("a")
+    git(root, "add", "a")
+    git(root, "commit", "--quiet", "--message", "a")
+    clean = built_from.commit(root)
+    assert re.fullmatch("[0-9a-f]{40}", clean[1])
+    assert clean[2] == ", without changes."
+    (root / "a").write_text("b")
+    assert built_from.commit(root) == (clean[0], clean[1], " with changes that are not committed.")
+    # A copy inside another repository is not that repository's commit.
+    (root / "copy").mkdir()
+    assert built_from.commit(root / "copy")[1] == ""
+
+
+def test_a_page_that_names_another_commit_is_outdated(tmp_path):
+    now = built_from.commit(tmp_path)
+    env = SimpleNamespace(srcdir=tmp_path)
+    assert built_from.outdated(None, env, set(), set(), set()) == []
+    built_from.noted(env).update(
+        {"a": now, "b": ("The sources are those of commit ", "0" * 40, "."), "c": ("", "", "")}
+    )
+    assert built_from.outdated(None, env, set(), set(), {"c"}) == ["b"]
+
+
 # ---------------------------------------------------------------- mending pages
 
 AMISS = """<script src="../_static/vendor/fontawesome/6/js/all.min.js?digest=1"></script>
@@ -88,6 +147,15 @@ def test_pages_are_mended():
     assert "fa-brands-400" not in page
     assert page.count('id="search-input"') == 1
     assert lean_pages.mend(page) == (page, set())
+
+
+def test_a_fix_that_applies_to_no_page_fails_the_build(tmp_path):
+    app = SimpleNamespace(builder=SimpleNamespace(name="html"), outdir=tmp_path)
+    (tmp_path / "a.html").write_text(AMISS, encoding="utf-8")
+    lean_pages.mend_pages(app, None, {"a"})
+    with pytest.raises(ExtensionError, match=r"^every fix must apply to a page, got none for these; remove them"):
+        lean_pages.mend_pages(app, None, {"a"})
+    lean_pages.mend_pages(app, None, set())  # Sphinx has kept every page of the last build, mended
 
 
 # ---------------------------------------------------------------- statements and the ways between them

@@ -20,9 +20,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from rhl.app import cli
+from rhl.app._templates import template
 from rhl.app.config import keys, parse
 from rhl.app.diagnosis import Finding, diagnose
-from rhl.app.templates import template
 from rhl.basis import Features, Polynomials, Terms
 from rhl.constraints import LinearConstraints
 from rhl.controllability import ConstantMixing, LambdaSearch
@@ -36,7 +36,8 @@ from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.published import compare_robot, curve, linear_example
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.analysis import linearise, rough_model, stabilizability
-from rhl.plants.examples import CartPendulum, example, flexible_shaft
+from rhl.plants.cart_pendulum import CartPendulum
+from rhl.plants.examples import example, flexible_shaft
 from rhl.problems import V1
 from rhl.schedules import Constant, ExponentialDecay, PowerDecay, epsilon_at
 from rhl.trace import Trace

@@ -75,10 +75,6 @@ def general_maps(rng, n, q, N):
 # V1, the paper's problems
 
 
-def published_problems():
-    return [(f"{name}-{done.k}", done) for name, run in RUNS.items() for done in run.steps]
-
-
 RUNS = {"fed-back": replay_published(), "free": linear_example().run()}
 
 

@@ -110,7 +110,7 @@ def code_of_page(text):
 def pages():
     """The code of every page, cell by cell, and the prose of all."""
     code, prose = [], []
-    for path in [*ROOT.glob("book/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+    for path in [*ROOT.glob("book/*.md"), ROOT / "README.md"]:
         text = path.read_text(encoding="utf-8")
         code += code_of_page(text)
         prose.append(text)

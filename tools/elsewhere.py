@@ -226,7 +226,7 @@ def run(variant: Variant, tests: bool) -> dict[str, Any]:
 
 def line(*cells: str) -> str:
     """One row of the table."""
-    return "  ".join(cell.ljust(width) for cell, width in zip(cells, (12, 34, 12, 16, 0), strict=False)).rstrip()
+    return "  ".join(cell.ljust(width) for cell, width in zip(cells, (12, 30, 16, 16, 0), strict=False)).rstrip()
 
 
 def report(name: str, found: dict[str, Any], reference: dict[str, Any]) -> tuple[str, bool]:

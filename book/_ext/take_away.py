@@ -1,13 +1,17 @@
 """The foot of every page: its notebook, its citation and, if the book has a public address, its other sites."""
 
 import html
-import shutil
+import json
+import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
 
 import yaml
 from sphinx.application import Sphinx
+
+# In Python's words for an object that has none of its own.
+ADDRESS = re.compile(r" at 0x[0-9a-f]+(?=>)")
 
 
 def addresses(repository: str, branch: str, notebook: str, page: str) -> dict[str, str]:
@@ -61,12 +65,36 @@ def foot(source: str, kind: str, elsewhere: dict[str, str], repository: str, ent
     )
 
 
+def settled(notebook: dict[str, Any]) -> dict[str, Any]:
+    """A notebook without what differs between two builds: ids drawn at random, addresses in memory, times, counts."""
+    cells, count = [], 0
+    for i, cell in enumerate(notebook["cells"]):
+        cell = cell | {"id": f"cell-{i}"}
+        if cell["cell_type"] == "code":
+            count += 1
+            cell["execution_count"] = count
+            cell["metadata"] = {key: value for key, value in cell["metadata"].items() if key != "execution"}
+            cell["outputs"] = [_settled_output(output, count) for output in cell["outputs"]]
+        cells.append(cell)
+    return notebook | {"cells": cells}
+
+
+def _settled_output(output: dict[str, Any], count: int) -> dict[str, Any]:
+    if output["output_type"] == "execute_result":
+        output = output | {"execution_count": count}
+    if plain := output.get("data", {}).get("text/plain"):
+        lines = [plain] if isinstance(plain, str) else plain
+        output = output | {"data": output["data"] | {"text/plain": [ADDRESS.sub("", line) for line in lines]}}
+    return output
+
+
 def place_notebook(app: Sphinx, pagename: str) -> str:
     """Add the executed notebook of a MyST page to the sources; returns its name."""
     executed = Path(app.outdir).parent / "jupyter_execute" / f"{pagename}.ipynb"
     target = Path(app.outdir, "_sources", f"{pagename}.ipynb")
     target.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(executed, target)
+    notebook = settled(json.loads(executed.read_text(encoding="utf-8")))
+    target.write_text(json.dumps(notebook, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8")
     return f"{pagename}.ipynb"
 
 

@@ -297,7 +297,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _new(options: argparse.Namespace) -> int:
     from rhl._checks import shown
-    from rhl.app.templates import published, template
+    from rhl.app._templates import published, template
 
     name = options.name.removesuffix(".toml")
     stem = Path(name).name

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rhl.app._keys import FRACTION, WORDS, fitted, integer, key
+from rhl.app._templates import template
 from rhl.app.config import Config, keys, load, parse, schema
-from rhl.app.templates import template
 from rhl.controllability import ConstantMixing, LambdaSearch
 from rhl.errors import InputError
 from rhl.paper.published import linear_example, robot_arm
