@@ -407,6 +407,12 @@ def test_divergence_of_the_plant_alone():
     assert caught.value.k == 2
 
 
+def test_one_state_that_overflows_is_enough():
+    plant = LinearPlant([[1e300, 0.0], [0.0, 0.5]], [[0.0], [0.0]], [[0.0, 1.0]])
+    with pytest.raises(DivergedError, match="at k = 2: the plant's state is no longer finite"):
+        run(scheme(outputs=1, inputs=1), plant=plant, z0=[1.0, 1.0])
+
+
 def test_an_output_that_is_no_number_is_the_callers_mistake():
     with pytest.raises(InputError, match="y must be finite, got nan"):
         step(SCHEMES["plain"], start(SCHEMES["plain"]), [np.nan])

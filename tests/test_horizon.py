@@ -526,6 +526,17 @@ def test_residual_of_v3_sees_a_detour_to_the_same_end():
         assert detour.residual() > UNCERTIFIED
 
 
+def test_residual_is_relative_to_the_terms_that_cancel():
+    """By hand, for one step with x+ = x + (1, 1)u and a terminal weight whose rows nearly cancel."""
+    QN, weight, x = np.array([[1.0, -0.9], [-0.9, 1.0]]), 3.0, np.array([1.0, 2.0])
+    plan = solve(V1(SignalModel(np.eye(2), np.ones((2, 1))), 1.0, 2.0, QN, weight, 1), x)
+    u = plan.u + 1e-3
+    other = replace(plan, u=u, x=np.stack([x, x + u[0]]))
+    gradient = 2 * u[0, 0] + weight * np.sum(QN @ other.x[-1])
+    size = 2 * abs(u[0, 0]) + weight * np.sum(np.abs(QN) @ (np.abs(x) + np.abs(u[0])))
+    assert other.residual() == pytest.approx(abs(gradient) / size, rel=1e-9)
+
+
 @pytest.mark.parametrize("kind", [V1, V3])
 def test_value_is_least(kind):
     rng = np.random.default_rng(SEED)

@@ -17,6 +17,7 @@ from rhl import (
     simulate,
     window_scheme,
 )
+from rhl.basis import Polynomials
 from rhl.family import ModelFamily
 from rhl.paper.claims.theorem_4 import family_scheme
 from rhl.paper.published import linear_example
@@ -175,3 +176,17 @@ def test_a_small_file_that_unpacks_to_more_than_memory_is_refused(tmp_path, monk
     np.savez(path, **kept)
     with pytest.raises(pytest.fail.Exception):
         LiveController.restore(scheme, path)
+
+
+def test_a_state_of_another_model_is_refused(tmp_path):
+    """The same histories, but a signal with more entries."""
+    plain = window_scheme(1, 1, 2)
+    lifting = replace(plain.lifting, basis=Polynomials(2))
+    n, m = lifting.size(1), plain.initial_model.B.shape[1]
+    model = SignalModel(np.eye(n), np.zeros((n, m)))
+    wide = replace(plain, lifting=lifting, initial_model=model)
+    controller = LiveController(wide)
+    controller.step([1.0])
+    controller.save(tmp_path / "state.npz")
+    with pytest.raises(InputError, match="state must belong to the scheme, whose A has shape"):
+        LiveController.restore(plain, tmp_path / "state.npz")

@@ -232,3 +232,13 @@ def test_s_plus_is_not_lost_in_the_growth_of_a_model():
     scheme = replace(window_scheme(2, 1, 1), initial_model=model)
     first = simulate(scheme, LinearPlant(model.A, model.B, np.eye(2)), [0.0, 0.0], 1)
     assert first.s_plus[0] == pytest.approx(float(s_plus(model, 2)), rel=1e-12)
+
+
+def test_steps_have_the_state_that_they_began_with():
+    """Of an adaptive weight too, which compares V1 with its value one step before."""
+    made = replace(LINEAR.scheme, controller=replace(LINEAR.scheme.controller, adaptive=True))
+    run = simulate(made, LINEAR.plant, LINEAR.z0, STEPS)
+    for kept, done in zip(run.steps, closed_loop(made, LINEAR.plant, LINEAR.z0), strict=False):
+        assert kept.state.stage == done.state.stage
+        assert (kept.state.value is None) == (done.state.value is None)
+        assert kept.state.value is None or kept.state.value == pytest.approx(done.state.value, rel=1e-9)

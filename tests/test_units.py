@@ -267,3 +267,10 @@ def test_bad_schemes():
     model = type(terms.initial_model)(np.eye(2), np.ones((2, 1)))
     with pytest.raises(InputError, match="units must be None where a lifting appends basis functions"):
         replace(terms, lifting=lifting, initial_model=model, estimator=GrowingMemory(), units=RunningUnits())
+
+
+def test_settings_by_default():
+    """Those behind the comparison with benchmark plants; the pages say what they mean."""
+    units = default_scheme(1, 1, 2).units
+    assert (units.inputs, units.caution, units.past, units.noise) == (0.1, 100.0, 0.03, 0.0)
+    assert units.model_in_sizes

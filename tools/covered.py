@@ -19,18 +19,13 @@ _seconds: dict[str, float] = {}
 _failed: set[str] = set()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Trace from the start, because collection imports modules."""
-    if not config.option.collectonly:
-        _tracer.start()
-
-
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item):  # type: ignore[no-untyped-def]
-    """Count lines for this test."""
+    """Count lines for this test; begin anew each time, because some tests take the place of the tracer."""
+    _tracer.start()
     _tracer.switch_context(item.nodeid)
     result = yield
-    _tracer.switch_context("")
+    _tracer.stop()
     return result
 
 
@@ -43,7 +38,6 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Write the record of this process, if it ran tests."""
-    _tracer.stop()
     data = _tracer.get_data()
     lines: dict[str, dict[str, list[int]]] = {}
     for file in data.measured_files():

@@ -134,19 +134,20 @@ def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[st
     def executes(lines: dict[str, list[int]]) -> bool:
         return mutant.line in lines.get(mutant.file, ()) or any(file in lines for file in callers)
 
-    tests = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
-    found = [test for test, record in tests.items() if executes(record["lines"])]
+    left = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
+    found = [test for test, record in left.items() if executes(record["lines"])]
     if not found:  # a line that runs while the module is imported
-        found = [test for test, record in tests.items() if mutant.file in record["lines"]]
+        found = [test for test, record in left.items() if mutant.file in record["lines"]]
     ranked = sorted(found, key=lambda test: (test != noticed_by, name not in test, tests[test]["seconds"]))
     total = 0.0
     kept: list[str] = []
-    for test in ranked:
+    for test in (test for test in ranked if not test.startswith("notebooks/")):
         total += tests[test]["seconds"]
         if total > SECONDS and kept:
             break
         kept.append(test)
-    return kept
+    # A notebook takes a kernel, so one of them is enough, after the tests.
+    return kept + [test for test in ranked if test.startswith("notebooks/")][:1]
 
 
 def _environment(tree: Path) -> dict[str, str]:

@@ -16,6 +16,12 @@ NOT_RESULTS = (
     "rhl/paper/figures.py",
     "rhl/paper/motion.py",
 )
+# Keywords of drawing functions that set how something looks, not where it is.
+STYLE = {
+    *("alpha", "c", "color", "dpi", "figsize", "fontsize", "fontweight", "ha", "va", "height_ratios", "hspace", "loc"),
+    *("ls", "linestyle", "lw", "linewidth", "marker", "ms", "markersize", "ncols", "pad", "rotation", "s", "size"),
+    *("width_ratios", "wspace", "zorder", "indent"),
+}
 SWAPPED: dict[type, tuple[type, ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),
     ast.LtE: (ast.Lt, ast.Gt),
@@ -153,6 +159,8 @@ def _computed(node: ast.AST) -> Iterator[ast.AST]:
             return
         case ast.Assert(test=test):
             yield test
+        case ast.keyword(arg=name) if name in STYLE:
+            return
         case _:
             yield from ast.iter_child_nodes(node)
 
