@@ -43,8 +43,8 @@ serve: env ## show the built book on http://localhost:8000 (PORT=... for another
 
 site: env ## pack the built book into one file that opens from any local server: build/rhl-book.tar.gz (SITE=... for another)
 	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
-	tar --create --gzip --file $(SITE) --directory build/_build --transform 's,^html,rhl-book,' html
-	@ls -sh $(SITE)
+	tar --create --gzip --file "$(SITE)" --directory build/_build --transform 's,^html,rhl-book,' html
+	@ls -sh "$(SITE)"
 
 pdf: env ## print the built book into build/rhl-book.pdf, with Debian's Chromium
 	python tools/print.py build/rhl-book.pdf

@@ -145,9 +145,3 @@ def test_the_clean_room_tries_every_command_and_every_extra():
 def test_the_versions_of_a_room_are_those_of_the_lock():
     lock = 'a==1.0 \\\n    --hash=sha256:00\nb==2.0 ; python_full_version < "3.12" \\\n    # via a\n'
     assert clean_room.pins(lock) == 'a==1.0\nb==2.0 ; python_full_version < "3.12"\n'
-
-
-@pytest.mark.nightly
-def test_the_clean_room():
-    """Everything but the notebooks, about two minutes; `make clean-room` runs these too."""
-    assert clean_room.main(["--notebooks", "none"]) == 0

@@ -232,6 +232,24 @@ def test_stacks_that_would_fill_the_memory():
             assert parse(data).experiment().scheme.initial_model.n == 1000
 
 
+def test_transfer_functions_that_would_fill_the_memory():
+    def plant(count):
+        return {"kind": "transfer-function", "num": [1.0], "den": [1.0] * count, "z0": [0.0] * (count - 1)}
+
+    with pytest.raises(
+        InputError, match=r"plant\.den must have at most 1000 coefficients in all channels together, got"
+    ):
+        parse(huge() | {"plant": plant(100_000)}).experiment()
+    assert parse(huge(order=20) | {"plant": plant(21)}).experiment().plant.n == 20
+
+
+@pytest.mark.parametrize("term", ["y1^" + "9" * 12, "*".join(["y1"] * 100_000), "sin(" * 10_000, "y" + "1" * 10_000])
+def test_terms_of_any_length_are_refused(term):
+    with pytest.raises(InputError, match=r"must be a (product|string such as 'y1\*y2' of at most 200 characters)"):
+        parse(huge(lifting={"terms": [term]})).experiment()
+    assert parse(huge(lifting={"terms": ["y1^3"]})).experiment().scheme.initial_model.n == 3
+
+
 CAMPAIGN = {
     "name": "c",
     "seed": 1,

@@ -43,7 +43,11 @@ class RandomSection(Section):
     """[plants] with kind = "random": random linear plants in discrete time."""
 
     kind = key('"random"')
-    count = key("{}, how many plants for each combination of the sizes", integer(1, 10_000_000))
+    count = key(
+        "{}, how many plants for each combination of the sizes; there are at most 1000 schemes, and plants times "
+        "schemes are at most 20 million",
+        integer(1, 10_000_000),
+    )
     n = key("{}, the order, or a list of such", SIZE, _SIZES, default=4)
     p = key("{}, the number of outputs, or a list of such", SIZE, _SIZES, default=1)
     q = key("{}, the number of inputs, or a list of such", SIZE, _SIZES, default=1)
@@ -171,7 +175,8 @@ class CampaignFile(Section):
     )
     input_bound = key("{}: inputs are clipped to plus and minus this; no bound if left out", POSITIVE, default=None)
     chunk = key(
-        "{}, the number of plants in a task and in a chunk of the store; results do not depend on it",
+        "{}, the number of plants in a task and in a chunk of the store; results do not depend on it; a task holds at "
+        "most 2 GB, and there are at most 100000 tasks",
         integer(1, 1_000_000),
         default=250,
     )

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from rhl._checks import Array, describe, reason, shown
 from rhl.app._keys import MATRIX, POSITIVE, SIZE, TEXT, VECTOR, Section, key, list_of
+from rhl.app._limits import ENTRIES
 from rhl.errors import InputError, PlantError
 from rhl.plants import FunctionPlant, LinearPlant, Plant, RobotArm
 from rhl.plants.examples import EXAMPLES, example
@@ -45,7 +46,7 @@ class TransferSection(Section):
     )
     den = key(
         "a list of finite numbers, the denominator's coefficients, more of them than num has; for several inputs and "
-        "outputs like num, or one list for all",
+        "outputs like num, or one list for all; at most 1000 coefficients in all channels",
         VECTOR,
         _CHANNELS,
     )
@@ -82,6 +83,12 @@ class TransferSection(Section):
         if [len(row) for row in den] != [q] * p:
             raise InputError(
                 f"den must have {p} rows of {q} lists, as num has, or be one list, got {describe(self.den)}"
+            )
+        states = sum(len(part) for row in den for part in row)
+        if states > ENTRIES:
+            raise InputError(
+                f"den must have at most {ENTRIES} coefficients in all channels together, got {states}; give a plant of "
+                "a lower order"
             )
         num, den = ([[np.trim_zeros(part, "f") for part in row] for row in rows] for rows in (num, den))
         for i, j in np.ndindex(p, q):

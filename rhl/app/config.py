@@ -60,7 +60,8 @@ class Config(Section):
     )
     order = key(
         "{}, an upper bound of the plant's observability index, from which the scheme is chosen, for signals of any "
-        "size; each given key of [lifting], [estimator] and [controller] changes that setting only",
+        "size; each given key of [lifting], [estimator] and [controller] changes that setting only. A scheme stacks at "
+        "most 1000 numbers",
         SIZE,
         default=None,
     )
