@@ -97,9 +97,9 @@ def _compared() -> Figure:
     return figure
 
 
-def _settings() -> object:
-    groups = [group for name in sweeps.NAMES for group in sweeps.settings(name)]
-    return [[(setting.key, setting.values, setting.own) for setting in group] for group in groups]
+def _settings() -> list[float]:
+    found = [each for name in sweeps.NAMES for group in sweeps.settings(name) for each in group]
+    return [float(value) for setting in found for value in (setting.own, *setting.values)]
 
 
 def _graph() -> str:
@@ -107,6 +107,7 @@ def _graph() -> str:
     return picture(nodes) + legend(nodes)
 
 
+SETTINGS = "settings of sliders"  # themselves, not a fingerprint of them
 PICTURES: dict[str, Callable[[], list[float]]] = {
     "window and plan": lambda: of_figure(drawings.window_and_plan(linear_example().run(), 9)),
     "arm": lambda: of_figure(drawings.arm_positions(robot_arm().run().z[:, 0], 5)),
@@ -120,7 +121,7 @@ PICTURES: dict[str, Callable[[], list[float]]] = {
     "moving link": lambda: of_text(motion.link(np.linspace(1, 0, 9), 2.0, "A.", "B.", np.arange(9.0))._repr_html_()),
     "first page": lambda: of_text(figures.opening(watch.contrast())),
     "graph of statements": lambda: of_text(_graph()),
-    "settings of sliders": lambda: of_data(_settings()),
+    SETTINGS: _settings,
     "spiral": lambda: of_data(sweeps.spiral(2000, 40)),
     "mixtures": lambda: of_data(sweeps.mixtures([2, 3])),
     "rates": lambda: of_data({**explored.pace(), "schedules": 0}),

@@ -55,7 +55,8 @@ def executed_for_the_book(root: Path, notebook: Path) -> bool:
 
 
 def with_outputs(notebook: nbformat.NotebookNode, executed: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """The notebook with the outputs of its executed copy, and nothing else of it: no times, no other metadata."""
+    """The notebook with the outputs and the language of its executed copy, without the times."""
+    notebook.metadata["language_info"] = executed.metadata["language_info"]
     for cell, done in zip(notebook.cells, executed.cells, strict=True):
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count = done.outputs, done.execution_count

@@ -282,7 +282,8 @@ def test_a_missing_package_is_one_sentence_that_names_the_extra(monkeypatch, cap
     said = capsys.readouterr().err
     assert "flint" in said
     assert "pip install 'rhl[paper]'" in said
-    assert main(["verify", "eq-22", "--fast"]) == 0
+    # Whatever the claim: a table that ends in the middle would say less.
+    assert main(["verify", "eq-22", "--fast"]) == 2
 
 
 def of_scheme(part, **changes):
