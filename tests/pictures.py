@@ -37,7 +37,8 @@ def of_text(text: str) -> list[float]:
 
 def of_figure(figure: Figure) -> list[float]:
     """Of a figure: places of lines, patches and words, and the limits of axes."""
-    found: list[float] = []
+    legends = [*figure.legends, *filter(None, (ax.get_legend() for ax in figure.axes))]
+    found = [float(sum(map(ord, text.get_text()))) for legend in legends for text in legend.get_texts()]
     for ax in figure.axes:
         found += [*ax.get_xlim(), *ax.get_ylim()]
         for line in ax.lines:

@@ -136,8 +136,8 @@ def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[st
 
     left = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
     found = [test for test, record in left.items() if executes(record["lines"])]
-    if not found:  # a line that runs while the module is imported
-        found = [test for test, record in left.items() if mutant.file in record["lines"]]
+    if len(found) < 5:  # few, or a line that runs while the module is imported, for one test or for none
+        found += [test for test, record in left.items() if mutant.file in record["lines"] and test not in found]
     ranked = sorted(found, key=lambda test: (test != noticed_by, name not in test, tests[test]["seconds"]))
     total = 0.0
     kept: list[str] = []
