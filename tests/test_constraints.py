@@ -284,3 +284,8 @@ def test_one_window_for_a_batch_of_centres(known):
 def test_refused(build, sentence):
     with pytest.raises(InputError, match=sentence):
         build()
+
+
+def test_rounding_is_no_violation_whatever_the_sign():
+    assert 3 * -0.3 != -0.9
+    LinearConstraints([[3.0, 0.0]], [-0.9]).check("it", SignalModel([[-0.3]], [[0.0]]))

@@ -155,7 +155,13 @@ def test_tests_of_a_line_come_from_what_they_execute():
         "tests/test_b.py::elsewhere": {"seconds": 0.1, "lines": {"rhl/a.py": [4]}},
     }
     mutant = Mutant("rhl/a.py", "f", 3, "", "", "")
-    assert mutants.tests_of(mutant, tests, "") == ["tests/test_a.py::slow", "tests/test_b.py::fast"]
+    found = mutants.tests_of(mutant, tests, "")
+    assert found == ["tests/test_a.py::slow", "tests/test_b.py::fast", "tests/test_b.py::elsewhere"]
+    assert mutants.tests_of(mutant, tests | {f"tests/test_c.py::{i}": tests[found[1]] for i in range(4)}, "") == [
+        "tests/test_a.py::slow",
+        "tests/test_b.py::fast",
+        *(f"tests/test_c.py::{i}" for i in range(4)),
+    ]
     assert mutants.tests_of(mutant, tests, "tests/test_b.py::fast")[0] == "tests/test_b.py::fast"
     imported = Mutant("rhl/a.py", "", 1, "", "", "")
     assert len(mutants.tests_of(imported, tests, "")) == 3
