@@ -126,7 +126,7 @@ PICTURES: dict[str, Callable[[], list[float]]] = {
     "spiral": lambda: of_data(sweeps.spiral(2000, 40)),
     "mixtures": lambda: of_data(sweeps.mixtures([2, 3])),
     "rates": lambda: of_data({**explored.pace(), "schedules": 0}),
-    "a benchmark plant": lambda: of_data(explored.plant("ac1")),
+    "a benchmark plant": lambda: of_data(explored.plant("toy")),
     "steps of the ball": lambda: of_data(watch.steps("ball")),
 }
 

@@ -14,6 +14,7 @@ from rhl.paper.claims import assumption_4, predictors
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.rotating_models import PLANE, consistent_model, rotation
 from rhl.problems import V3
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 small = st.integers(-3, 3)
@@ -26,8 +27,9 @@ def exact(M):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", assumption_4.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @given(arrays(int, (2, 2), elements=small), arrays(int, (2, 2), elements=small), arrays(int, (5, 2), elements=small))

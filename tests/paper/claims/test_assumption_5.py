@@ -6,14 +6,16 @@ import pytest
 from rhl.model import PredictorMaps
 from rhl.paper.claims import assumption_5, lemma_1
 from rhl.paper.claims.claim import Effort, judge
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", assumption_5.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_bound_is_met_with_equal_weights():

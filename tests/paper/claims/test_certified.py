@@ -18,12 +18,14 @@ from rhl.paper.claims.proximal import shrinking_limit as shrinking_limit_in_frac
 from rhl.paper.claims.theorem_1 import change
 from rhl.paper.claims.theorem_1 import vanishing as vanishing_in_float64
 from rhl.problems import V1
+from tests.evidence import EFFORT, drift
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim):
-    judgement = judge(claim, Effort(0, 10))
+    judgement = judge(claim, EFFORT)
     assert judgement.as_recorded, judgement
+    assert drift(judgement, EFFORT) == ""
 
 
 def test_statements_say_the_numbers_that_are_checked():

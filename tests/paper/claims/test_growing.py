@@ -10,6 +10,7 @@ from rhl.paper.claims import growing
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.estimation import draw_model, estimate, spiral_estimates, trajectory
 from rhl.paper.claims.proximal import Squares
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 CLAIMS = (*growing.LEMMA, *growing.THEOREM)
@@ -18,8 +19,9 @@ CLAIMS = (*growing.LEMMA, *growing.THEOREM)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_one_step_on_a_sum_has_its_closed_form():

@@ -11,6 +11,7 @@ from rhl.model import PredictorMaps, SignalModel
 from rhl.paper.claims import lemma_1
 from rhl.paper.claims.claim import Effort, judge
 from rhl.problems import V2, V3
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 ROUNDING = 1e-9  # well conditioned systems of at most twenty unknowns
@@ -19,8 +20,9 @@ ROUNDING = 1e-9  # well conditioned systems of at most twenty unknowns
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @given(st.floats(-3, 3), st.floats(1e-6, 1e3), st.floats(-5, 5), st.floats(-5, 5))

@@ -7,14 +7,16 @@ from rhl.paper.claims import lemma_2
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import at_the_end, follow, square
 from rhl.paper.claims.rotating_models import losing, turning
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_2.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_losing_controllability_ends_where_the_algebra_says():

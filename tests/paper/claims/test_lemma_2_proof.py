@@ -13,6 +13,7 @@ from rhl.paper.claims import lyapunov_inequalities as steps
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import SIZES, Setting, bounds, draw, follow, square, written_out
 from rhl.paper.claims.rotating_models import rotation, turning
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 ROUNDING = 1e-9  # relative to V3; gains are below a few hundred
@@ -30,8 +31,9 @@ def exact_model(A, B, r, x0, horizon):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_2_proof.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @given(st.floats(-3, 3), st.floats(0.2, 3), st.floats(-3, 3), arrays(float, (4, 1), elements=st.floats(-2, 2)))

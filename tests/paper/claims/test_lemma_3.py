@@ -10,6 +10,7 @@ from rhl.model import PredictorMaps
 from rhl.paper.claims import lemma_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.problems import V2
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 ROUNDING = 1e-9
@@ -18,8 +19,9 @@ ROUNDING = 1e-9
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_3.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @given(st.floats(0.01, 100), st.floats(-4, 4))

@@ -33,6 +33,7 @@ from rhl.paper.claims.proximal import (
     three_point_gap,
     turn_identity,
 )
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 # A dozen roundings of numbers of size one to ten.
@@ -182,8 +183,9 @@ def test_run_measures_its_path():
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 # ---------------------------------------------------------------- what the checks are seen to reject

@@ -13,6 +13,7 @@ from rhl.errors import LostControllabilityError
 from rhl.model import SignalModel
 from rhl.paper.claims import lemma_5, spoiling
 from rhl.paper.claims.claim import Effort, judge
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 x = sp.Symbol("lambda")
@@ -21,8 +22,9 @@ x = sp.Symbol("lambda")
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_5.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_polynomial_by_hand():

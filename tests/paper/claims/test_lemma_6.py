@@ -13,6 +13,7 @@ from rhl.lifting import DelayLifting
 from rhl.paper.claims import kalman, lemma_6, remark_4
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import analysis
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 ROUNDING = 1e-9  # through O and its pseudo-inverse, of condition at most 1e3
@@ -21,8 +22,9 @@ ROUNDING = 1e-9  # through O and its pseudo-inverse, of condition at most 1e3
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", lemma_6.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @given(st.floats(-2, 2), st.floats(0.1, 2), st.integers(1, 4))

@@ -11,14 +11,16 @@ from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.lyapunov_terms import follow
 from rhl.paper.claims.rotating_models import turning
 from rhl.problems import V1
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", remark_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_half_blind_plans_never_touch_what_they_are_wrong_about():

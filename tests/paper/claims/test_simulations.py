@@ -11,12 +11,14 @@ from rhl.paper.claims import simulations
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.published import linear_example
 from rhl.plants import LinearPlant
+from tests.evidence import EFFORT, drift
 
 
 @pytest.mark.parametrize("claim", simulations.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim):
-    judgement = judge(claim, Effort(0, 10))
+    judgement = judge(claim, EFFORT)
     assert judgement.as_recorded, judgement
+    assert drift(judgement, EFFORT) == ""
 
 
 def test_exact_matrices_are_those_of_the_example(monkeypatch):

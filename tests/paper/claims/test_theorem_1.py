@@ -11,14 +11,16 @@ from rhl.paper.claims import theorem_1
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants.analysis import pbh
 from rhl.problems import V1
+from tests.evidence import drift
 from tests.sizes import SEEDS, size
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_1.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @settings(max_examples=size(6, 20), deadline=None)

@@ -11,14 +11,16 @@ from rhl.paper.claims import assumption_5, contraction, theorem_1_star
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.contraction import run
 from rhl.problems import V1
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_1_star.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @pytest.mark.parametrize("seed", range(3))

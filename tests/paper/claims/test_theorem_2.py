@@ -27,6 +27,7 @@ from rhl.paper.claims.theorem_2 import CLAIMS, check_prehistory, example_record,
 from rhl.paper.claims.window_proof import check_window, window_gap
 from rhl.paper.published import linear_example
 from rhl.simulation import simulate
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 ROUNDING = 1e-10
@@ -161,8 +162,9 @@ def test_first_transitions_of_the_linear_example(example):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 # ---------------------------------------------------------------- what the checks are seen to reject

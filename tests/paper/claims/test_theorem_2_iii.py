@@ -13,14 +13,16 @@ from rhl.paper.claims.growing import example_run
 from rhl.paper.claims.lemma_5 import is_controllable
 from rhl.paper.claims.theorem_2_iii import CLAIMS, augmented_exactly, exact_models, stacks_of_plant, unexcited_model
 from rhl.paper.published import linear_example
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 @pytest.mark.parametrize(("n", "q", "m"), [(1, 1, 1), (2, 1, 3), (3, 2, 2), (1, 2, 4)])

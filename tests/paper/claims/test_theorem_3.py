@@ -13,14 +13,16 @@ from rhl.paper.claims import theorem_3
 from rhl.paper.claims.claim import Effort, judge
 from rhl.plants import LinearPlant
 from rhl.simulation import simulate
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_3.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_a_batch_is_its_members():

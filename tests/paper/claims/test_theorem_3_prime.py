@@ -5,14 +5,16 @@ import pytest
 
 from rhl.paper.claims import theorem_3_prime
 from rhl.paper.claims.claim import Effort, judge
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_3_prime.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_most_runs_are_runs_of_the_theorem():

@@ -9,14 +9,16 @@ from rhl.lifting import DelayLifting
 from rhl.model import SignalModel
 from rhl.paper.claims import theorem_4, theorem_4_grid
 from rhl.paper.claims.claim import Effort, judge
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", theorem_4.CLAIMS, ids=lambda claim: claim.id)
 def test_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_polynomials_are_bounded_by_their_values_on_the_grid():

@@ -11,14 +11,16 @@ from rhl.paper.claims import varying_loss
 from rhl.paper.claims.claim import Effort, judge
 from rhl.paper.claims.estimation import estimate
 from rhl.paper.claims.varying_loss import CLAIMS
+from tests.evidence import drift
 from tests.sizes import SEEDS
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.id)
 def test_claim_comes_out_as_recorded(claim, seed):
-    judgement = judge(claim, Effort(seed, 10))
+    judgement = judge(claim, effort := Effort(seed, 10))
     assert judgement.as_recorded, judgement
+    assert drift(judgement, effort) == ""
 
 
 def test_frozen_error_is_the_infinite_product():

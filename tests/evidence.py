@@ -1,0 +1,60 @@
+"""The evidence of every claim on record: how many cases, the worst of them, the tolerance.
+
+    python -m tests.evidence    # records it anew in tests/data/evidence.json, after a change that is meant
+
+A check that draws other cases, or compares with another bound, may still come out as recorded; its numbers do not.
+"""
+
+import json
+import math
+from pathlib import Path
+
+from rhl.paper.claims import ledger
+from rhl.paper.claims.claim import Effort, Judgement
+
+RECORD = Path(__file__).resolve().parent / "data/evidence.json"
+EFFORT = Effort(1, 10)
+# Another processor rounds otherwise, which a run enlarges; below `ROUNDING` nothing else is left.
+RTOL, ROUNDING = 2e-3, 1e-6
+
+
+def numbers(judgement: Judgement) -> list[float | None] | None:
+    """Cases, worst and tolerance of the evidence, if there is any; not a number is recorded as None."""
+    found = judgement.evidence
+    return (
+        None if found is None else [found.cases, found.worst if math.isfinite(found.worst) else None, found.tolerance]
+    )
+
+
+def kept() -> dict[str, list[float | None] | None]:
+    """The record."""
+    return json.loads(RECORD.read_text(encoding="utf-8"))
+
+
+def same(found: float | None, wanted: float | None) -> bool:
+    """Whether two numbers agree as far as rounding allows."""
+    if found is None or wanted is None:
+        return found is wanted
+    return math.isclose(found, wanted, rel_tol=RTOL, abs_tol=ROUNDING)
+
+
+def drift(judgement: Judgement, effort: Effort) -> str:
+    """What differs from the record, as a sentence; empty if nothing does, or if the record is of other cases."""
+    wanted = kept().get(judgement.claim.id)
+    found = numbers(judgement)
+    if effort != EFFORT or (found is None and wanted is None):
+        return ""
+    if found is None or wanted is None or not all(map(same, found, wanted)):
+        return f"{judgement.claim.id} gives {found}, on record is {wanted}"
+    return ""
+
+
+def main() -> None:
+    """Record every claim's evidence."""
+    found = {row.claim.id: numbers(row) for row in ledger.run(ledger.CLAIMS, EFFORT)}
+    lines = (f" {json.dumps(id)}: {json.dumps(values)}" for id, values in found.items())
+    RECORD.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
