@@ -136,5 +136,8 @@ class Book:
         assert status == 0, said
         return self.executions() - before
 
+    def html(self, page):
+        return (self.root / "build/_build/html" / page).read_text(encoding="utf-8")
+
     def shows(self, page):
-        return re.sub("<[^>]+>", "", (self.root / "build/_build/html" / page).read_text(encoding="utf-8"))
+        return re.sub("<[^>]+>", "", self.html(page))

@@ -54,7 +54,7 @@ def test_an_edit_is_seen(book, name, old, new, executions, page):
     book.edit(name, lambda text: text.replace(old, new, 1))
     assert book.built() == executions
     if page:
-        assert ("9.9.9" if name == "CITATION.cff" else "Other words") in book.shows(page)
+        assert ("9.9.9" if name == "CITATION.cff" else "Other words") in book.html(page)
     assert book.built() == 0
 
 
