@@ -540,6 +540,7 @@ API = [
     # files
     ("no dictionary", lambda: parse([1]), r"^a run must be described by a dictionary of keys, got \[1\]", None),
     ("keys that are numbers", lambda: parse({1: 2}), r"^a run must be described by a dictionary .*got {1: 2}", None),
+    ("one key that is a number", lambda: parse({1: 2, "name": "a"}), r"^a run must be described by a dictionary", None),
     ("no file", lambda: load("missing.toml"), r"^missing.toml must be a readable TOML file, got: No such", None),
     ("a path of None", lambda: load(None), r"^None must be a readable TOML file, got: ", None),
     ("a template without a name", lambda: template(3), r"^name must be a string, .*got 3", None),

@@ -123,6 +123,12 @@ def test_a_function_of_the_users_is_suspect_until_they_say_more():
     assert diagnose(PLANT, own(assumption_6=True, convex_in_second=True)).sound
 
 
+def test_as_many_delays_as_states_need_no_index():
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 0.0]])
+    found = says(diagnose(plant, window_scheme(1, 1, 2)), "Assumption 1, m >= n")
+    assert found == "N_y = 2 outputs and N_v = 2 inputs are stacked, n = 2"
+
+
 def test_the_observability_index_is_enough():
     found = diagnose(RobotArm(), robot_arm().scheme)
     assert verdicts(found)["Assumption 1, m >= n"] == "met"

@@ -198,6 +198,8 @@ class Judgement:
         Why a check, a control or an instance gave no evidence, or that Coq's record lacks the theorem; else empty.
     seconds : float
         The time taken.
+    beside : tuple of Evidence
+        The evidence of the other checks: of the stated one if it fails, of the control, of the instance.
     """
 
     claim: Claim
@@ -207,6 +209,7 @@ class Judgement:
     told_apart: bool | None
     problem: str
     seconds: float
+    beside: tuple[Evidence, ...] = ()
 
     @property
     def as_recorded(self) -> bool:
@@ -258,25 +261,30 @@ def judge(claim: Claim, effort: Effort) -> Judgement:
     if claim.stated is None or claim.control is None:
         return Judgement(claim, "not-checkable", None, None, None, "", 0.0)
     evidence, *problems = _run("the check", claim.stated, effort)
+    beside: list[Evidence] = []
     verdict: Verdict = "observed" if claim.recorded == "observed" else "holds"
     if evidence.conclusive and not evidence.passes:
         verdict = "refuted"
         if claim.corrected is not None:
+            beside.append(evidence)
             evidence, *problems = _run("the corrected check", claim.corrected, effort)
             verdict = "holds-corrected" if evidence.passes else "refuted"
     if problems:
         verdict = "no-evidence"
     control, *more = _run("the control", claim.control.check, effort)
     tripped = not control.passes if control.conclusive else None
+    beside.append(control)
     told_apart = None
     if claim.instance is not None:
         instance, *rest = _run("the instance", claim.instance.check, effort)
         told_apart = instance.passes if instance.conclusive else None
         more += rest
+        beside.append(instance)
     if claim.formal and not formal.proves(claim.formal):
         more.append(f"the record of Coq's results does not have the theorem {claim.formal}")
     seconds = time.perf_counter() - begin
-    return Judgement(claim, verdict, evidence, tripped, told_apart, "; ".join(problems + more), seconds)
+    problem = "; ".join(problems + more)
+    return Judgement(claim, verdict, evidence, tripped, told_apart, problem, seconds, tuple(beside))
 
 
 def _run(name: str, check: Check, effort: Effort) -> tuple[Evidence] | tuple[Evidence, str]:
