@@ -7,13 +7,14 @@ import pickle
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rhl import InputError
-from rhl.app import _status, cli
+from rhl import InputError, window_scheme
+from rhl.app import _limits, _status, cli
 from rhl.app._campaign_keys import parse as parse_campaign
 from rhl.app.config import load, parse
 from tests.app.test_bad_files import GOOD, OWN
@@ -424,3 +425,10 @@ def test_the_largest_file_is_not_read_whole(tmp_path):
         load(path)
     path.write_text(LINEAR, encoding="utf-8")
     assert load(path).steps == 42
+
+
+def test_a_window_that_would_fill_the_memory():
+    scheme = window_scheme(1, 1, 2)
+    _limits.fits(scheme, 10)
+    with pytest.raises(InputError, match=r"^estimator\.window must be such that the transitions of the window"):
+        _limits.fits(replace(scheme, estimator=replace(scheme.estimator, window=10**9)), 10)

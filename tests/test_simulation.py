@@ -312,6 +312,14 @@ def test_divergence_keeps_the_rows_before(made):
     assert len(seen[-1]) == caught.value.k
 
 
+def test_one_state_that_overflows_is_enough():
+    """No output and no input shows it."""
+    plant = LinearPlant([[1e300, 0.0], [0.0, 0.5]], [[0.0], [0.0]], [[0.0, 1.0]])
+    for of in (plant, as_functions(plant)):
+        with pytest.raises(DivergedError, match="at k = 2: the plant's state is no longer finite"):
+            simulate(scheme(outputs=1, inputs=1), of, [1.0, 1.0], 5)
+
+
 def test_a_step_beyond_the_last_row_is_not_taken():
     plant = LinearPlant([[1e300]], [[0.0]], [[1e-300]])
     made = scheme(outputs=1, inputs=1)

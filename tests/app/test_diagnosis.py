@@ -380,3 +380,10 @@ def test_a_run_of_zeros_is_diagnosed_without_a_division_by_zero():
     assert not any("Assumption 7" in finding.subject for finding in found.findings)
     moving = diagnose_run(simulate(default_scheme(1, 1, 1), plant, [1.0], 40))
     assert any("Assumption 7" in finding.subject for finding in moving.findings)
+
+
+def test_a_large_set_point_is_judged_by_its_size():
+    tank = example("quadruple-tank").plant
+    for size in (1e-6, 1.0, 1e9):
+        found = diagnose(tank, default_scheme(2, 2, 2, set_point=SetPoint([0.5 * size, -0.25 * size])))
+        assert verdicts(found)["Set point, an equilibrium"] == "met"

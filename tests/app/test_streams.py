@@ -7,11 +7,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from rhl import _files
-from rhl.app import _status, cli
+from rhl.app import _run, _status, cli
 from rhl.app._streams import STDOUT, interruptible, printable, target_name
 from rhl.errors import InputError
 from rhl.paper.published import Experiment
@@ -315,3 +316,20 @@ def test_columns_say_how_wide_a_table_is(folder, capsys, monkeypatch):
     for asked in (90, 200):
         monkeypatch.setenv("COLUMNS", str(asked))
         assert width() == asked
+
+
+def test_a_message_that_cannot_be_written_leaves_the_exit_status(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*RHL.split(), "run", "missing.toml", "--output", "t.csv"], cwd=tmp_path, stderr=full, check=False
+        )
+    assert done.returncode == _status.BAD_INPUT
+
+
+def test_which_stage_makes_the_weight_too_large(monkeypatch):
+    """With an adaptive weight it is the stage, not the step."""
+    monkeypatch.setattr(_run, "too_heavy", lambda controller, k: f"at {k}")
+    for adaptive, says in ((False, "at 7"), (True, "at 0")):
+        scheme = SimpleNamespace(controller=SimpleNamespace(adaptive=adaptive))
+        error = SimpleNamespace(k=7, what="weight must be finite", trace=None)
+        assert _run._heavy(SimpleNamespace(scheme=scheme), error) == says
