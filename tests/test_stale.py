@@ -47,7 +47,7 @@ def test_a_number_is_never_older_than_the_library_and_the_data(book):
         ("notebooks/01-number.ipynb", "rate=2.0", "rate=4.0", 1, ""),
         ("book/_static/book.css", "", "/* Other words */", 0, "_static/book.css"),
         ("book/references.bib", "@", "@misc{other, title = {Other words}}\n\n@", 0, "book/index.html"),
-        ("CITATION.cff", "version: ", "version: 9.9.9 # ", 0, "book/index.html"),
+        ("CITATION.cff", "\nversion: ", "\nversion: 9.9.9 # ", 0, "book/index.html"),
     ],
 )
 def test_an_edit_is_seen(book, name, old, new, executions, page):
