@@ -13,7 +13,17 @@ from scipy.optimize import lsq_linear
 from rhl.constraints import LinearConstraints
 from rhl.errors import AssumptionWarning, InputError, NotSolvedError
 from rhl.estimator import ProximalEstimator
-from rhl.losses import CustomLoss, Entropy, LogCosh, PseudoHuber, Varying, WeightedSquares, _descent, _proximal
+from rhl.losses import (
+    CustomLoss,
+    Entropy,
+    LogCosh,
+    PseudoHuber,
+    Varying,
+    WeightedSquares,
+    _descent,
+    _proximal,
+    divergence,
+)
 from rhl.losses._descent import solve
 from rhl.losses._proximal import Proximal, quadratic, regression
 from rhl.model import SignalModel
@@ -672,3 +682,22 @@ class Half:
 def test_refused(act, sentence):
     with pytest.raises(InputError, match=sentence):
         act(*case(np.random.default_rng(SEED), 2, 1, 3))
+
+
+def test_the_objective_is_loss_plus_divergence():
+    rng = np.random.default_rng(SEED)
+    s, R, centre, theta = rng.normal(size=6), rng.normal(size=(3, 2)), rng.normal(size=4), rng.normal(size=4)
+    for c, g in ((LogCosh(0.5), WeightedSquares(2.0)), (PseudoHuber(1.0), LogCosh(2.0))):
+        wanted = c.value(s - (R @ theta.reshape(2, 2)).ravel()) + divergence(g, theta, centre)
+        assert Proximal(s, R, c, g, centre).value(theta) == pytest.approx(float(wanted), rel=1e-12)
+
+
+def test_negative_curvature_of_rounding_is_none():
+    """A loss that is flat in one direction may return a second derivative of -1e-20 there."""
+
+    class Flat(WeightedSquares):
+        def hessian(self, x):
+            return np.where(np.arange(x.shape[-1]) == 0, -1e-20, 2.0) * np.ones_like(x)
+
+    problem = Proximal(np.array([0.0, 1.0]), np.eye(2), Flat(), WeightedSquares(), np.zeros(2))
+    assert np.all(np.isfinite(problem.newton(np.zeros(2))[1]))
