@@ -1,7 +1,7 @@
 """Mutation testing: change one place of the library, run the tests that execute it, and see whether one fails.
 
     python -m tools.mutants tests        # does `make test` notice?
-    python -m tools.mutants verify       # does `rhl verify` notice, without the tests?
+    python -m tools.mutants verify       # does `rhl verify --fast` notice, without the tests?
     python -m tools.mutants notebooks    # does a notebook notice a changed assertion, or a changed result?
 
 A seeded sample over the syntax trees, for two reasons: mutmut puts several versions of a function side by side, which
@@ -198,7 +198,7 @@ def _run_claims(tree: Path, cache: str, claims: list[str]) -> None:
 
     by_id = {claim.id: claim for claim in ledger.CLAIMS}
     for id in claims:
-        if not judge(by_id[id], Effort(0, 100)).as_recorded:
+        if not judge(by_id[id], Effort(0, 10)).as_recorded:
             (tree.parent / NOTICED_BY).write_text(id, encoding="utf-8")
             os._exit(1)
     os._exit(0)
@@ -267,7 +267,7 @@ def claims_by_seconds(tree: Path) -> list[str]:
     """Ids of all claims, those that are checked fastest first."""
     code = (
         "import json; from rhl.paper.claims import ledger; from rhl.paper.claims.claim import Effort\n"
-        "print(json.dumps([[row.seconds, row.claim.id] for row in ledger.run(ledger.CLAIMS, Effort(0, 100))]))"
+        "print(json.dumps([[row.seconds, row.claim.id] for row in ledger.run(ledger.CLAIMS, Effort(0, 10))]))"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, cwd=tree, env=_environment(tree), check=True, capture_output=True, text=True)
