@@ -11,6 +11,7 @@ from rhl.paper.claims.kalman import run_open_loop, stacked
 from rhl.plants import FunctionPlant, LinearPlant, RobotArm
 from rhl.plants.analysis import (
     detectability,
+    growth_alone,
     linearise,
     observability,
     observability_index,
@@ -269,3 +270,10 @@ def test_linearise_refuses():
         linearise(root)
     # It rests at 1 too, where it has a slope.
     np.testing.assert_allclose(linearise(root, [1.0]).F, [[0.5]], rtol=1e-9)
+
+
+def test_growth_from_a_first_output_of_zero():
+    hidden = LinearPlant([[0.5, 1.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 0.0]])
+    assert growth_alone(hidden, [0.0, 1.0], 5) == np.inf
+    assert growth_alone(hidden, [0.0, 0.0], 5) == 1
+    assert growth_alone(hidden, [1.0, 0.0], 5) == 1

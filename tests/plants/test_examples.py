@@ -1,5 +1,7 @@
 """Example plants: against the numbers their sources print, conserved energy, and what each is there to show."""
 
+from dataclasses import FrozenInstanceError
+
 import control
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from scipy.linalg import eigvals, logm
 
 from rhl.errors import InputError
 from rhl.plants.analysis import detectability, linearise, pbh, stabilizability
+from rhl.plants.cart_pendulum import CartPendulum
 from rhl.plants.examples import (
     EXAMPLES,
     example,
@@ -223,3 +226,8 @@ def test_the_sampling_time_told_is_the_one_used(name):
 def test_unknown_names_list_the_known(name):
     with pytest.raises(InputError, match=r"name must be one of cart-pendulum, quadruple-tank, .*slow-mode, got "):
         example(name)
+
+
+def test_parameters_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        CartPendulum().length = 2.0
