@@ -242,10 +242,10 @@ def _spoiled(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def notebook_sample(root: Path, executes: dict[str, dict[str, list[int]]], seed: int) -> list[tuple[str, Mutant]]:
-    """For every notebook two changes of its assertions, and two of what functions that it executes return."""
+    """For every notebook one change of its assertions, and one of what a function that it executes returns."""
 
     def first(found: list[Mutant]) -> list[Mutant]:
-        return sorted(found, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.id}".encode()).digest())[:2]
+        return sorted(found, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.id}".encode()).digest())[:1]
 
     chosen: list[tuple[str, Mutant]] = []
     for path in sorted((root / "notebooks").glob("*.ipynb")):
