@@ -235,27 +235,26 @@ def _spoiled(node: ast.AST) -> Iterator[ast.AST]:
     """The return of numbers, one per cent larger."""
     match node:
         case ast.FunctionDef(returns=ast.Name("Array" | "float")):
-            for inner in ast.walk(node):
-                if isinstance(inner, ast.Return) and inner.value is not None:
-                    inner.value = ast.BinOp(ast.Constant(1.01), ast.Mult(), inner.value)
-            yield node
+            if isinstance(last := node.body[-1], ast.Return) and last.value is not None:
+                larger = ast.Return(ast.BinOp(ast.Constant(1.01), ast.Mult(), last.value))
+                yield ast.FunctionDef(**{**vars(node), "body": [*node.body[:-1], larger]})
 
 
 def notebook_sample(root: Path, executes: dict[str, dict[str, list[int]]], seed: int) -> list[tuple[str, Mutant]]:
     """For every notebook one change of its assertions, and one of what a function that it executes returns."""
 
-    def first(found: list[Mutant]) -> list[Mutant]:
-        return sorted(found, key=lambda mutant: hashlib.sha256(f"{seed} {mutant.id}".encode()).digest())[:1]
+    def first(found: list[Mutant], notebook: str) -> list[Mutant]:
+        return sorted(found, key=lambda of: hashlib.sha256(f"{seed} {notebook} {of.id}".encode()).digest())[:1]
 
     chosen: list[tuple[str, Mutant]] = []
     for path in sorted((root / "notebooks").glob("*.ipynb")):
         name = path.relative_to(root).as_posix()
-        own = first(list(asserted(name, path.read_text(encoding="utf-8"))))
+        own = first(list(asserted(name, path.read_text(encoding="utf-8"))), name)
         returned = []
         for file, lines in executes[name].items():
             for mutant in mutants_of(file, (root / file).read_text(encoding="utf-8"), _spoiled):
                 inside = range(mutant.line + 1, mutant.line + 1 + mutant.before.count("\n"))
                 if not file.startswith(NOT_RESULTS) and not set(inside).isdisjoint(lines):
                     returned.append(mutant)
-        chosen += [(name, mutant) for mutant in own + first(returned)]
+        chosen += [(name, mutant) for mutant in own + first(returned, name)]
     return chosen
