@@ -144,3 +144,12 @@ def test_plants_that_are_not_there():
     fast = RandomPlants(1, 1, growth=(1e3, 1e3), sampling=(10.0,))
     with pytest.raises(InputError, match="sampling must be short enough to keep the state in"):
         fast.draw(0)
+
+
+def test_a_benchmark_plant_has_the_same_errors_at_every_sampling_time():
+    both = BenchmarkPlants(("toy", "ac1"), sampling=(0.1, 0.2))
+    toy, slower, other = (both.errors(i).generate_state(4).tolist() for i in range(3))
+    assert toy == slower != other
+    assert toy == BenchmarkPlants(("toy",)).errors(0).generate_state(4).tolist()
+    assert BenchmarkPlants(("toy",)).labels() == ["toy"]
+    assert BenchmarkPlants().sampling == (0.1,)

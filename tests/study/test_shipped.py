@@ -9,6 +9,7 @@ import pytest
 
 from rhl import InputError
 from rhl.app._campaign_keys import parse
+from rhl.study import shipped
 from rhl.study.backends import in_process
 from rhl.study.campaign import Campaign, run
 from rhl.study.choices import Choice
@@ -57,7 +58,7 @@ def test_they_are_small():
 def test_random_plants(scheme):
     of = campaign("random")
     numbers_, at_rest, peak = kept("random", of.schemes[scheme].label)
-    assert len(numbers_) == 12
+    assert len(numbers_) == shipped._KEPT == 12
     some = slice(size(4, 12))
     numbers_, at_rest, peak = numbers_[some], at_rest[some], peak[some]
     assert agrees(of, scheme, numbers_, at_rest, peak)
