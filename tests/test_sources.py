@@ -230,3 +230,19 @@ def test_dead_code_is_noticed():
     assert unused({"a": living}, set()) == []
     dead = living + "LEFT = 1\ndef forgotten(): return 1\nclass Other(Kept):\n    def never(self): pass\n"
     assert unused({"a": dead}, {"Other"}) == ["a: LEFT", "a: forgotten", "a: never"]
+
+
+def changeable(source):
+    """The dataclasses of a module whose fields can be set anew."""
+    return [
+        node.name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.ClassDef)
+        for decorator in node.decorator_list
+        if "dataclass" in ast.unparse(decorator) and "frozen=True" not in ast.unparse(decorator)
+    ]
+
+
+def test_dataclasses_are_frozen():
+    assert {name: found for name, source in SOURCES.items() if (found := changeable(source))} == {}
+    assert changeable("@dataclass\nclass A: ...\n@dataclass(frozen=False)\nclass B: ...\n") == ["A", "B"]
