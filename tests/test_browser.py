@@ -32,7 +32,6 @@ TEMPLATES = {
     "live page": "book/live.html",
     "ledger": "book/ledger.html",
     "map of results": "book/chain.html",
-    "reference": "book/api.html",
     "source code": "_modules/rhl/horizon.html",
     "search": "search.html",
     "index": "genindex.html",

@@ -110,6 +110,7 @@ def test_faults_of_an_epub_are_found(tmp_path, body, fault):
     assert fault in found
 
 
+@pytest.mark.nightly
 def test_the_whole_book(tmp_path):
     current_book()
     done = subprocess.run(

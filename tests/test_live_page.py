@@ -474,6 +474,7 @@ def test_runs_agree_in_the_browser(chromium, site, engine):
     assert found == []
 
 
+@pytest.mark.nightly
 def test_another_line_in_the_loops_is_found_in_the_browser(chromium, site, engine):
     packed = changed((HTML / "_static/live/library.zip").read_bytes(), *SLIP)
     with seen.visit(chromium, site, PAGE, "light") as (page, _):
@@ -546,6 +547,7 @@ def test_a_run_can_be_stopped_and_shared(chromium, site, engine):
     assert found == []
 
 
+@pytest.mark.nightly
 def test_a_disturbance_is_dragged_into_the_input(chromium, site, engine):
     with seen.visit(chromium, site, f"{PAGE}#plant=pendulum", "light") as (page, found):
         _, before = ran(page)
@@ -608,6 +610,7 @@ def test_without_an_engine_the_page_says_so(chromium, site, engine, change, word
         page.wait_for_url("**/book/explore.html")
 
 
+@pytest.mark.nightly
 def test_an_engine_that_cannot_be_loaded_is_said(chromium, site, engine):
     with chromium.new_page() as page:
         page.route("**/engine/pyodide.mjs", lambda route: route.abort())
@@ -680,6 +683,7 @@ def test_odd_entries_that_python_reads_leave_no_script_broken(chromium, site, en
     assert found == []
 
 
+@pytest.mark.nightly
 def test_an_engine_cut_short_is_reported_and_the_next_run_works(chromium, site, engine):
     with seen.visit(chromium, site, PAGE, "light") as (page, _):
         page.context.route("**/pyodide.asm.wasm", lambda route: route.fulfill(body=b"\0asm", status=200))
@@ -690,6 +694,7 @@ def test_an_engine_cut_short_is_reported_and_the_next_run_works(chromium, site, 
         assert told["ended"] == ""
 
 
+@pytest.mark.nightly
 def test_a_finger_scrolls_past_the_chart_and_a_click_changes_nothing(chromium, site, engine):
     with seen.visit(chromium, site, f"{PAGE}#plant=scalar", "light") as (page, found):
         ran(page)

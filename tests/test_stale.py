@@ -13,6 +13,7 @@ def book(tmp_path_factory):
     return small
 
 
+@pytest.mark.nightly
 def test_a_number_is_never_older_than_the_library_and_the_data(book):
     number, first = "notebooks/01-number.html", "book/index.html"
     assert "computes 0.143, and the sample is -9.900" in book.shows(number)
