@@ -183,3 +183,10 @@ def test_bad_offsets(arguments, sentence):
         Offset(*arguments)
     with pytest.raises(InputError, match="value must be a number or have 2 entries"):
         Offset([1.0, 2.0, 3.0])(0, np.zeros(2))
+
+
+def test_the_room_for_increments_is_what_the_input_has_left():
+    made = default_scheme(1, 1, 2, bounds=Saturation(-0.4, 0.6), set_point=SetPoint(0.5))
+    left = made.controller._bounds(1, np.array([0.5]))
+    assert np.allclose([left.low, left.high], [[-0.9], [0.1]])
+    assert left.summed
