@@ -252,13 +252,13 @@ def known_equivalent() -> dict[tuple[str, str, str], str]:
 
 
 def table(results: list[dict]) -> str:
-    """One row for each room: mutants, noticed, equivalent, survived, and the share that was noticed."""
+    """One row for each room: mutants, noticed, equivalent, survived, and the share of the others that was noticed."""
     rows = [("room", "mutants", "noticed", "equivalent", "survived", "share noticed")]
     rooms = sorted({row["room"] for row in results})
     for room in [*rooms, "all"]:
         count = Counter(row["verdict"] for row in results if room in ("all", row["room"]))
         noticed, total = count["noticed"] + count["too long"], count.total()
-        share = f"{noticed / total:.1%}"
+        share = f"{noticed / max(1, total - count['equivalent']):.1%}"
         rows.append((room, str(total), str(noticed), str(count["equivalent"]), str(count["survived"]), share))
     return "\n".join("  ".join(f"{cell:>13}" if i else f"{cell:18}" for i, cell in enumerate(row)) for row in rows)
 
@@ -341,7 +341,8 @@ def main() -> int:
         if row["verdict"] == "survived":
             print(f"{row['file']}:{row['line']} {row['function']}\n  - {row['before']}\n  + {row['after']}")
     score = Counter(row["verdict"] for row in results)
-    return int((score["noticed"] + score["too long"]) / max(1, len(results)) < options.at_least)
+    judged_at_all = max(1, len(results) - score["equivalent"])
+    return int((score["noticed"] + score["too long"]) / judged_at_all < options.at_least)
 
 
 if __name__ == "__main__":
