@@ -1,7 +1,10 @@
 """ARCHITECTURE.md names modules and files that are there; its walk through a step is one of the doctests."""
 
 import re
+import subprocess
 from pathlib import Path
+
+import pytest
 
 from tests.test_imports import ORDER
 
@@ -56,3 +59,24 @@ def test_paths_that_texts_name_are_there():
 
 def test_a_path_that_is_lost_is_noticed():
     assert lost_paths("`rhl/horizon.py`, `rhl/horizons.py`, `tests/`") == ["rhl/horizons.py"]
+
+
+# What a repository has by custom, and the table of folders does not name.
+CUSTOMARY = {"ARCHITECTURE.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md"}
+CUSTOMARY |= {"SECURITY.md", "codemeta.json"}
+
+
+def astray(files, text):
+    """The names at the top level that are neither customary, nor hidden, nor in the table of folders."""
+    folders = text.partition("## Folders")[2].partition("\n## ")[0]
+    named = set(re.findall(r"`([\w.]+)/?`", folders)) | CUSTOMARY | {"benchmarks"}
+    return sorted({name.partition("/")[0] for name in files} - named - {name for name in files if name[0] == "."})
+
+
+def test_nothing_lies_astray_at_the_top_level():
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git repository, whose files this is about")
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    files = [name for name in listed.split("\0") if name and not name.startswith(".")]
+    assert astray(files, TEXT) == []
+    assert astray([*files, "mine.toml"], TEXT) == ["mine.toml"]

@@ -379,7 +379,8 @@ def test_what_needs_no_such_package_does_without(config, tmp_path):
         assert done.stderr.count("\n") == (1 if done.returncode else 0)
 
 
-def test_another_missing_module_is_no_matter_of_an_extra(monkeypatch):
+def test_another_missing_module_is_no_matter_of_an_extra(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "rhl.app._templates", None)
     with pytest.raises(ImportError):
         cli.main(["new", "mine"])
