@@ -34,8 +34,8 @@ test-all: env ## the same with large sizes: more random cases, every page in bot
 
 mutants: env ## change the library in 300 places and see which changes the tests, the claims and the notebooks notice
 	python -m tools.mutants tests --at-least 0.92
-	python -m tools.mutants verify --at-least 0.3
-	python -m tools.mutants notebooks --at-least 0.9
+	python -m tools.mutants verify --at-least 0.4
+	python -m tools.mutants notebooks --at-least 0.8
 
 serve: env ## show the built book on http://localhost:8000 (PORT=... for another port)
 	@test -f build/_build/html/index.html || { echo "there is no book yet: type 'make book' first"; exit 1; }
