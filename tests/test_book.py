@@ -143,11 +143,12 @@ def missing_alt(page):
 
 def raw_math(page):
     """TeX that reached the reader: outside code and outside what MathJax typesets."""
-    article = BeautifulSoup(str(page.find("article") or ""), "html.parser")
-    for tag in article.select("pre, code, script, style, .math"):
-        tag.decompose()
-    text = article.get_text(" ")
-    return re.findall(r"\$\$|\$[^$\n]{1,80}\$|\\begin\{\w+|\\\(|\\\[|Math input error", text)
+    article = page.find("article")
+    if article is None:
+        return []
+    apart = {id(tag) for tag in article.select("pre, code, script, style, .math")}
+    texts = [text for text in article.strings if not any(id(parent) in apart for parent in text.parents)]
+    return re.findall(r"\$\$|\$[^$\n]{1,80}\$|\\begin\{\w+|\\\(|\\\[|Math input error", " ".join(texts))
 
 
 def search_bars(page, name):
@@ -197,6 +198,54 @@ def broken_links(pages, files):
     return found
 
 
+def dead_names(page):
+    """Names that were meant to be links and lead nowhere."""
+    return [code.get_text() for code in page.select("article code.xref.py") if not code.find_parent("a")]
+
+
+def trail_faults(pages):
+    """Pages about a result whose statement, proof, source code or tests lead nowhere; `pages` by name."""
+    found = []
+    for name, page in pages.items():
+        block = page.select_one(".statement[id^=stated-]")
+        if block is None or not name.startswith("notebooks/"):
+            continue
+        words = [link.text.partition(" ")[0] for link in block.select(".trail a")]
+        proof = page.select_one("section[id^=the-proof]")
+        wanted = [*(["Proof"] if proof else []), "Checks", "Code", "Tests"]
+        if words != wanted:
+            found.append(f"{name}: the statement leads to {words}, not {wanted}")
+        back = f"{name.rpartition('/')[2]}#{block['id']}"
+        for link in block.select(".trail a"):
+            target = link["href"].rpartition("../")[2].partition("#")[0]
+            if link.text in ("Code", "Tests") and not pages[target].select(f".trail a[href$='{back}']"):
+                found.append(f"{name}: {target} does not lead back")
+        if proof and not proof.select(f":is(h2, h3) + .trail a[href$='#{block['id']}']"):
+            found.append(f"{name}: the proof does not lead back")
+    return found
+
+
+def take_away_faults(pages, files):
+    """Pages that were written, without a foot that gives their source, or their executed notebook, and BibTeX."""
+    found = []
+    for name, page in pages.items():
+        stem = name.removesuffix(".html")
+        if not any((ROOT / f"{stem}{ending}").exists() for ending in (".md", ".ipynb")):
+            continue
+        foot = page.select_one(".take-away")
+        if foot is None or foot.a is None or foot.pre is None:
+            found.append(f"{name}: it cannot be taken away")
+            continue
+        source = posixpath.normpath(posixpath.join(posixpath.dirname(name), foot.a["href"]))
+        if source not in files:
+            found.append(f"{name}: {source} does not exist")
+        if source.endswith(".ipynb") != bool(page.select(".cell")):
+            found.append(f"{name}: {source} is not what was executed")
+        if "@software{rhl" not in foot.pre.text:
+            found.append(f"{name}: it gives no BibTeX")
+    return found
+
+
 def faults(pages, files, toc):
     """Everything the checks find, as sentences that begin with the page."""
     found = [f"{page}.html is not built" for page in toc if f"{page}.html" not in files]
@@ -205,7 +254,8 @@ def faults(pages, files, toc):
         found += [f"{name}: no alternative text: {image}" for image in missing_alt(page)]
         found += [f"{name}: TeX as text: {tex}" for tex in raw_math(page)]
         found += [f"{name}: {what}" for what in search_bars(page, name) + not_executed(page, name)]
-    return found + broken_links(pages, files)
+        found += [f"{name}: {dead} is meant as a link and leads nowhere" for dead in dead_names(page)]
+    return found + trail_faults(pages) + take_away_faults(pages, files) + broken_links(pages, files)
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +273,8 @@ def built():
 
 def test_built_book(built):
     pages, files = built
+    assert sum(page.select_one(".statement[id^=stated-]") is not None for page in pages.values()) > 8
+    assert sum(page.select_one(".take-away") is not None for page in pages.values()) > 20
     assert "\n".join(faults(pages, set(files), entries(read_yaml("_toc.yml")))) == ""
 
 
@@ -269,6 +321,45 @@ def test_faults_of_a_page_are_found():
     found = faults({"a.html": page}, {"a.html", "a.png"}, ["a", "missing"])
     assert found[0] == "missing.html is not built"
     assert len(found) == 1 + 5 + 4 + 3 + 2 + 1 + 2
+
+
+def test_ways_that_lead_nowhere_are_found():
+    here = """<div class="statement" id="stated-a">
+    <p class="trail"><a href="../book/checks.html#test-a">Tests</a></p></div>
+    <section id="the-proof"><h2>Proof</h2></section>"""
+    pages = {
+        "notebooks/a.html": BeautifulSoup(here, "html.parser"),
+        "book/checks.html": BeautifulSoup("<p></p>", "html.parser"),
+    }
+    assert trail_faults(pages) == [
+        "notebooks/a.html: the statement leads to ['Tests'], not ['Proof', 'Checks', 'Code', 'Tests']",
+        "notebooks/a.html: book/checks.html does not lead back",
+        "notebooks/a.html: the proof does not lead back",
+    ]
+
+
+def test_a_page_that_cannot_be_taken_away_is_found():
+    foot = '<p class="take-away"><a href="{}">source</a></p><p class="take-away"></p>'
+    whole = '<div class="take-away"><a href="{}">source</a><pre>{}</pre></div>{}'
+    pages = {
+        "book/cli.html": whole.format("../_sources/cli.md", "@software{rhl,", ""),
+        "book/api.html": foot.format("../_sources/api.md"),
+        "book/ledger.html": whole.format("../_sources/ledger.md", "@software{rhl,", '<div class="cell"></div>'),
+        "notebooks/10-lemma-5.html": whole.format("../_sources/missing.md", "", ""),
+        "genindex.html": "",
+    }
+    parsed = {name: BeautifulSoup(text, "html.parser") for name, text in pages.items()}
+    assert take_away_faults(parsed, {"_sources/cli.md", "_sources/api.md", "_sources/ledger.md"}) == [
+        "book/api.html: it cannot be taken away",
+        "book/ledger.html: _sources/ledger.md is not what was executed",
+        "notebooks/10-lemma-5.html: _sources/missing.md does not exist",
+        "notebooks/10-lemma-5.html: it gives no BibTeX",
+    ]
+
+
+def test_a_name_that_leads_nowhere_is_found():
+    page = '<article><code class="xref py">a</code><a><code class="xref py">b</code></a><code>c</code></article>'
+    assert dead_names(BeautifulSoup(page, "html.parser")) == ["a"]
 
 
 def test_faults_of_a_style_are_found():

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -11,7 +10,7 @@ import yaml
 from bs4 import BeautifulSoup
 from sphinx.errors import ExtensionError
 
-from tests.conftest import HTML, ROOT, current_book
+from tests.conftest import ROOT
 
 sys.path.insert(0, str(ROOT / "book/_ext"))
 
@@ -156,72 +155,6 @@ def test_a_fix_that_applies_to_no_page_fails_the_build(tmp_path):
     with pytest.raises(ExtensionError, match=r"^every fix must apply to a page, got none for these; remove them"):
         lean_pages.mend_pages(app, None, {"a"})
     lean_pages.mend_pages(app, None, set())  # Sphinx has kept every page of the last build, mended
-
-
-# ---------------------------------------------------------------- statements and the ways between them
-
-
-def trail_faults(pages):
-    """Pages about a result whose statement, proof, source code or tests lead nowhere; `pages` by name."""
-    found = []
-    for name, page in pages.items():
-        block = page.select_one(".statement[id^=stated-]")
-        if block is None:
-            continue
-        words = [link.text.partition(" ")[0] for link in block.select(".trail a")]
-        proof = page.select_one("section[id^=the-proof]")
-        wanted = [*(["Proof"] if proof else []), "Checks", "Code", "Tests"]
-        if words != wanted:
-            found.append(f"{name}: the statement leads to {words}, not {wanted}")
-        back = f"{name.rpartition('/')[2]}#{block['id']}"
-        for link in block.select(".trail a"):
-            target = link["href"].rpartition("../")[2].partition("#")[0]
-            if link.text in ("Code", "Tests") and not pages[target].select(f".trail a[href$='{back}']"):
-                found.append(f"{name}: {target} does not lead back")
-        if proof and not proof.select(f":is(h2, h3) + .trail a[href$='#{block['id']}']"):
-            found.append(f"{name}: the proof does not lead back")
-    return found
-
-
-def test_statements_and_what_belongs_to_them():
-    current_book()
-    files = [*HTML.glob("notebooks/*.html"), HTML / "book/checks.html", *HTML.glob("_modules/rhl/paper/claims/*.html")]
-    pages = {
-        path.relative_to(HTML).as_posix(): BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser")
-        for path in files
-    }
-    assert sum(page.select_one(".statement[id^=stated-]") is not None for page in pages.values()) > 8
-    assert trail_faults(pages) == []
-
-
-def test_ways_that_lead_nowhere_are_found():
-    here = """<div class="statement" id="stated-a">
-    <p class="trail"><a href="../book/checks.html#test-a">Tests</a></p></div>
-    <section id="the-proof"><h2>Proof</h2></section>"""
-    pages = {
-        "notebooks/a.html": BeautifulSoup(here, "html.parser"),
-        "book/checks.html": BeautifulSoup("<p></p>", "html.parser"),
-    }
-    assert trail_faults(pages) == [
-        "notebooks/a.html: the statement leads to ['Tests'], not ['Proof', 'Checks', 'Code', 'Tests']",
-        "notebooks/a.html: book/checks.html does not lead back",
-        "notebooks/a.html: the proof does not lead back",
-    ]
-
-
-def test_every_page_can_be_taken_away():
-    current_book()
-    pages = {path: BeautifulSoup(path.read_text(encoding="utf-8"), "html.parser") for path in HTML.glob("*/*.html")}
-    written = [path for path in pages if (Path(ROOT, path.parent.name) / path.stem).with_suffix(".md").exists()]
-    written += [path for path in pages if (Path(ROOT, path.parent.name) / path.stem).with_suffix(".ipynb").exists()]
-    assert len(written) > 20
-    for path in written:
-        foot = pages[path].select_one(".take-away")
-        assert foot is not None
-        assert (path.parent / foot.a["href"]).is_file()
-        assert "@software{rhl" in foot.pre.text
-        executed = bool(pages[path].select(".cell"))
-        assert foot.a["href"].endswith(".ipynb") == executed
 
 
 # ---------------------------------------------------------------- roles that reach the reader

@@ -57,7 +57,7 @@ RUNS = {
     "ogata-pendulum": {"steps": "50"},
 }
 AGREE = 1e-9  # relative to the largest entry of a signal in the run
-BUDGET_SECONDS, BUDGET_BYTES = 3.0, 15e6
+BUDGET_BYTES = 15e6
 
 
 def loaded(name, path):
@@ -519,16 +519,6 @@ def test_nothing_is_loaded_before_it_is_asked_for(chromium, site, engine):
     assert found == []
 
 
-def test_sixty_steps_of_the_linear_example_take_less_than_three_seconds(chromium, site, engine):
-    with seen.visit(chromium, site, PAGE, "light") as (page, _):
-        taken = []
-        for _ in range(3):
-            told, signals = ran(page)
-            assert len(signals["y1"]) == 60
-            taken.append(told["seconds"])
-    assert min(taken) < BUDGET_SECONDS
-
-
 def test_a_run_can_be_stopped_and_shared(chromium, site, engine):
     with seen.visit(chromium, site, f"{PAGE}#plant=maglev&steps=500&N=40", "light") as (page, found):
         assert page.locator("#rhl-live-N").input_value() == "40"
@@ -576,7 +566,7 @@ def test_a_disturbance_is_dragged_into_the_input(chromium, site, engine):
     assert found == []
 
 
-@pytest.mark.parametrize("theme", seen.THEMES)
+@pytest.mark.parametrize("theme", [seen.THEMES[0], pytest.param(seen.THEMES[1], marks=pytest.mark.nightly)])
 def test_the_page_with_a_run_is_accessible(chromium, site, engine, theme):
     with seen.visit(chromium, site, f"{PAGE}#plant=rosenbrock", theme) as (page, found):
         ran(page)
@@ -673,13 +663,13 @@ def test_work_of_minutes_is_refused():
     assert driver.start(typed(m="4", N="40", steps="60"))[1] == ""
 
 
-@pytest.mark.parametrize("fields", [{"z0": "1e308 0 0"}, {"steps": "٦٠"}, {"push_size": "−5", "push_step": "１０"}])
-def test_odd_entries_that_python_reads_leave_no_script_broken(chromium, site, engine, fields):
+def test_odd_entries_that_python_reads_leave_no_script_broken(chromium, site, engine):
     with seen.visit(chromium, site, PAGE, "light") as (page, found):
-        choose(page, "linear-example", fields)
-        told = page.locator("[data-live]").evaluate(SETTLE)
-        curves = page.locator(".rhl-live .charts figure").first.locator(".curve").count()
-        assert bool(curves) == (told["ended"] == "")
+        for fields in ({"z0": "1e308 0 0"}, {"steps": "٦٠"}, {"push_size": "−5", "push_step": "１０"}):
+            choose(page, "linear-example", fields)
+            told = page.locator("[data-live]").evaluate(SETTLE)
+            curves = page.locator(".rhl-live .charts figure").first.locator(".curve").count()
+            assert bool(curves) == (told["ended"] == ""), fields
     assert found == []
 
 

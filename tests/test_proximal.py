@@ -1,7 +1,7 @@
 """Equation (15) beyond squares: the general solver beside the closed form, 50 digits, the L1 limit, its certificate."""
 
 import re
-import time
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -472,16 +472,18 @@ def test_only_equalities_that_couple_rows_are_dense(changes, blocks):
     assert coupled.newton_decrement(found, centre, x, u) < 1e-13
 
 
-def test_certificates_of_large_models_are_quick():
-    """3200 parameters, 3200 residuals: as matrices of that many columns, minutes; the time is 5 ms on one core."""
+def test_certificates_of_large_models_need_no_large_matrix():
+    """3200 parameters, 3200 residuals: a matrix of that many rows and columns takes 82 MB, and minutes to solve."""
     rng = np.random.default_rng(SEED)
     centre, x, u = case(rng, 40, 40, 80)
     for weight in (1.0, rng.uniform(0.5, 2, 3200)):
         made = ProximalEstimator(80, WeightedSquares(weight))
         found = made.minimise(centre, x, u)
-        begin = time.perf_counter()
+        tracemalloc.start()
         assert made.newton_decrement(found, centre, x, u) < 1e-12
-        assert time.perf_counter() - begin < 1
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 20e6
         assert made.newton_decrement(centre, centre, x, u) > 0.1
 
 

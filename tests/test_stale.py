@@ -72,18 +72,29 @@ WRONG_PAGE = {
 }
 
 
-def test_a_faulty_cell_fails_the_build(tmp_path):
+def test_faulty_cells_fail_the_build(tmp_path):
     small = Book(tmp_path / "book")
+    small.edit("_toc.yml", lambda text: text + "      - file: notebooks/02-number\n")
     small.write_notebook(WRONG_CELL)
+    small.write_notebook(f"{CODE}\n{WARNING_CELL}", name="02-number")
     status, said = small.build()
     assert status != 0
-    assert "notebooks/01-number.ipynb" in said
     assert "this cell fails" in said
-    small.write_notebook(f"{CODE}\n{WARNING_CELL}")
+    assert "stderr" in said
+    assert [f"notebooks/{name}.ipynb" in said for name in ("01-number", "02-number")] == [True, True]
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("code", "says"), [(WRONG_CELL, "this cell fails"), (f"{CODE}\n{WARNING_CELL}", "stderr")], ids=["error", "warning"]
+)
+def test_one_faulty_cell_fails_the_build(tmp_path, code, says):
+    small = Book(tmp_path / "book")
+    small.write_notebook(code)
     status, said = small.build()
     assert status != 0
     assert "notebooks/01-number.ipynb" in said
-    assert "stderr" in said
+    assert says in said
 
 
 def test_faulty_words_fail_the_build(tmp_path):
