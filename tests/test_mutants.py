@@ -163,6 +163,9 @@ def test_tests_of_a_line_come_from_what_they_execute():
         *(f"tests/test_c.py::{i}" for i in range(4)),
     ]
     assert mutants.tests_of(mutant, tests, "tests/test_b.py::fast")[0] == "tests/test_b.py::fast"
+    in_another_process = {name: {"seconds": 0.5, "lines": {}} for name in ("tests/test_a.py::x", "tests/test_c.py::x")}
+    assert mutants.tests_of(mutant, tests | in_another_process, "")[:2] == ["tests/test_a.py::x", found[0]]
+    assert "tests/test_c.py::x" not in mutants.tests_of(mutant, tests | in_another_process, "")
     imported = Mutant("rhl/a.py", "", 1, "", "", "")
     assert len(mutants.tests_of(imported, tests, "")) == 3
 

@@ -43,11 +43,13 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     for file in data.measured_files():
         where = Path(file).relative_to(session.config.rootpath).as_posix()
         for line, tests in data.contexts_by_lineno(file).items():
-            for test in set(tests) - _failed - {""}:
+            for test in tests:
                 lines.setdefault(test, {}).setdefault(where, []).append(line)
     if not lines:
         return
     folder = Path(os.environ["RHL_COVERED"])
     folder.mkdir(parents=True, exist_ok=True)
-    record = {test: {"seconds": _seconds.get(test, 0.0), "lines": found} for test, found in lines.items()}
+    # A test without lines runs the library in another process, or not at all.
+    passed = _seconds.keys() - _failed
+    record = {test: {"seconds": _seconds[test], "lines": lines.get(test, {})} for test in sorted(passed)}
     (folder / f"{os.getpid()}.json").write_text(json.dumps(record), encoding="utf-8")

@@ -140,7 +140,10 @@ def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[st
         return mutant.line in lines.get(mutant.file, ()) or any(file in lines for file in callers)
 
     left = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
-    found = [test for test, record in left.items() if executes(record["lines"])]
+    # A test without lines may run the library in another process; those of the module's own file are tried.
+    found = [
+        test for test, record in left.items() if executes(record["lines"]) or (name in test and not record["lines"])
+    ]
     if len(found) < 5:  # few, or a line that runs while the module is imported, for one test or for none
         found += [test for test, record in left.items() if mutant.file in record["lines"] and test not in found]
     ranked = sorted(found, key=lambda test: (test != noticed_by, name not in test, tests[test]["seconds"]))

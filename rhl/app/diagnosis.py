@@ -129,7 +129,7 @@ def _of_set_point(plant: LinearPlant, r: Array) -> Finding:
     sizes = np.max(np.abs(held), axis=1, keepdims=True)
     held, wanted = held / np.where(sizes > 0, sizes, 1.0), wanted / np.where(sizes > 0, sizes, 1.0)[:, 0]
     found = np.linalg.lstsq(held, wanted)[0]
-    if np.max(np.abs(held @ found - wanted)) <= FITS * max(1.0, float(np.max(np.abs(wanted)))):
+    if np.max(np.abs(held @ found - wanted)) <= FITS * np.max(np.abs(wanted)):
         inputs = ", ".join(f"{value:.3g}" for value in found[plant.n :])
         return Finding(subject, "met", f"the inputs {inputs} hold the outputs at it")
     return Finding(

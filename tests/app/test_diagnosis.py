@@ -382,8 +382,10 @@ def test_a_run_of_zeros_is_diagnosed_without_a_division_by_zero():
     assert any("Assumption 7" in finding.subject for finding in moving.findings)
 
 
-def test_a_large_set_point_is_judged_by_its_size():
+def test_a_set_point_is_judged_by_its_size():
     tank = example("quadruple-tank").plant
-    for size in (1e-6, 1.0, 1e9):
-        found = diagnose(tank, default_scheme(2, 2, 2, set_point=SetPoint([0.5 * size, -0.25 * size])))
-        assert verdicts(found)["Set point, an equilibrium"] == "met"
+    unheld = replace(tank, G=tank.G[:, :1])
+    for size in (1e-12, 1e-6, 1.0, 1e9, 1e12):
+        for plant, q, verdict in ((tank, 2, "met"), (unheld, 1, "violated")):
+            found = diagnose(plant, default_scheme(2, q, 2, set_point=SetPoint([0.5 * size, -0.25 * size])))
+            assert verdicts(found)["Set point, an equilibrium"] == verdict, (size, q)

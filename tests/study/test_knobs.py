@@ -1,6 +1,7 @@
 """Remedies are counted as they are: one that changes nothing mends nothing, and a wrong model does not help."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +33,12 @@ def test_counts_are_those_of_the_runs():
     after = outcome(PLANTS.some(before.peak > 100), one.turned, 200)
     assert found.mended == np.sum(after.peak <= 100)
     assert found.ratio < 1
+
+
+def test_a_run_that_ends_at_once_has_no_peak(monkeypatch):
+    ended = SimpleNamespace(y=np.ones((30, 3, 1)), diverged_at=np.array([0, 7, -1]))
+    monkeypatch.setattr("rhl.study.knobs.simulate", lambda *given, **named: ended)
+    assert outcome(PLANTS, KNOBS[0].start, 30).peak.tolist() == [np.inf, np.inf, 1.0]
 
 
 def test_a_remedy_that_changes_nothing_mends_nothing():

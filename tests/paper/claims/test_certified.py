@@ -61,6 +61,13 @@ def test_scalar_loop_is_the_one_in_float64():
     assert run.kept == run.steps
 
 
+def test_the_factor_by_hand():
+    """From x(0) = 1, s(1) = 4; from step 2 on the denominator grows by a share of at most 3/(2 * 4)."""
+    factor = growth(Fraction(2), Fraction(1), vanishing, 1, 300).factor
+    assert factor.overlaps(ball(Fraction(32, 11)))
+    assert not factor.overlaps(ball(Fraction(32, 11) + Fraction(1, 10**9)))
+
+
 @pytest.mark.parametrize("x0", [Fraction(1, 10**6), Fraction(-1), Fraction(10**6)])
 def test_scalar_loop_grows_from_everywhere(x0):
     run = growth(Fraction(11, 10), x0, vanishing, 400, 600)

@@ -1,6 +1,7 @@
 """What a claim may look like, and how it is judged."""
 
 import math
+import time
 
 import pytest
 
@@ -26,6 +27,12 @@ def claim(**changes):
         "control": Control("it broken", lambda effort: FAILS),
     }
     return Claim(**(made | changes))
+
+
+def test_the_seconds_are_those_of_the_checks():
+    begin = time.perf_counter()
+    seconds = judge(claim(), Effort()).seconds
+    assert 0 < seconds <= time.perf_counter() - begin
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,26 @@ def test_a_hypothesis_that_fails_is_named():
     assert theorem_1_star.hypotheses(assumption_5.fading_reach()) != ""
 
 
+def test_a_violation_is_relative_to_both_sides():
+    """So it is between minus one and one, however large the loops' signals are."""
+    loops = theorem_1_star.draw(np.random.default_rng(0), 4, (2, 1, 1, 3))
+    found = contraction.ends_excess(run(replace(loops, x0=1e3 * loops.x0), 6))
+    assert np.all(found[1] <= 0)
+    assert -1 <= np.min(found[1]) < -0.1
+
+
+def test_the_bound_of_the_last_state_grows_with_epsilon():
+    """(12): what it allows beyond the best is epsilon(k) times a number that depends on the maps alone."""
+    loops = theorem_1_star.draw(np.random.default_rng(0), 2, (2, 1, 1, 3))
+    of = run(loops, 6)
+    reached = np.einsum("kli,lij,klj->kl", of.r, loops.QN, of.r)
+    excess = contraction.ends_excess(of, 2.0)[1]
+    allowed = reached * (1 - excess) / (1 + excess)
+    at = contraction.constants(of.A, of.B, loops.Q, loops.R, loops.QN)
+    rho = (allowed - of.best) / (2 * np.array([loops.epsilon(k) for k in range(6)]))[:, None]
+    np.testing.assert_allclose(rho, at.top * at.C2**2 / loops.alpha, rtol=1e-6)
+
+
 @pytest.mark.parametrize("wrong", ["M", "C2"])
 def test_the_constants_are_needed(wrong, monkeypatch):
     """A constant that is far too small breaks the inequality that it stands for."""

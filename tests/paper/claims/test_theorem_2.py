@@ -1,5 +1,8 @@
 """Theorem 2(i), (ii): estimates against closed forms, the spiral, prediction bounds, the ledger's lines."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -205,6 +208,29 @@ def test_sums_of_the_omegas_by_hand():
     squares = 1 / 16 + 1 / 64 + 1 / 256
     np.testing.assert_allclose(sums, [2 * squares, 4 * squares, 2 * squares])
     np.testing.assert_allclose(bounds, [2, 4, 2])
+
+
+def test_models_that_are_not_the_mixtures_of_the_estimates_are_noticed(monkeypatch):
+    """Whichever sign the difference has."""
+    for shift in (-1.0, 1.0):
+
+        def shifted(*given, shift=shift):
+            steps = simulate(*given).steps
+            models = [SignalModel(step.model.A + shift, step.model.B + shift) for step in steps]
+            return SimpleNamespace(
+                steps=[replace(step, model=model) for step, model in zip(steps, models, strict=True)]
+            )
+
+        monkeypatch.setattr(estimator_setup, "simulate", shifted)
+        assert estimator_setup.check_estimator(Effort(0, 10)).worst == pytest.approx(1.0)
+
+
+def test_bounds_of_longer_sums_by_hand():
+    """The truth's powers have norm one, and no estimate has an input gain: f = 1, b = 0, S = 1 + 4 + 9 for N = 3."""
+    truth, start = SignalModel([[1.0]], [[0.0]]), SignalModel([[0.0]], [[0.0]])
+    record = estimate(np.ones((7, 1)), np.zeros((6, 1)), start, 1, np.zeros(6))
+    _, bounds = omega_sums(record, 3, truth, 0.0)
+    np.testing.assert_allclose(bounds / bounds[0], [1.0, 4 * 3 * 14 / 18, 2 * 3 * 14 / 18])
 
 
 @pytest.mark.parametrize("exponent", [1.25, 1.5, 2.0])

@@ -32,6 +32,13 @@ def test_the_pairs_are_those_of_the_plants():
             assert np.max(np.abs(said - x[first + 1 :, i])) < 1e-8 * np.max(np.abs(x[:, i]))
 
 
+def test_a_loop_that_peaks_from_small_states_alone_is_noticed(monkeypatch):
+    """Each size is compared with the one before, not with the first."""
+    monkeypatch.setattr(theorem_3_prime, "largest_states", lambda *given: np.array([[1.0], [0.5], [0.48]]))
+    evidence = theorem_3_prime.check_stability(Effort(0, 10))
+    assert (evidence.worst, evidence.passes) == (pytest.approx(0.96), False)
+
+
 def test_the_scalar_loop_with_a_small_state_peaks_where_the_weight_holds_it():
     tops = theorem_3_prime.largest_states(lambda k: 1.0, np.array([1e-6]))
     assert tops[0] == pytest.approx(np.sqrt(100 * (np.array([1.1, 1.3, 1.7]) - 1)), rel=0.3)
