@@ -15,7 +15,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 .PHONY: help env book test test-all mutants serve site pdf epub verify proofs bench campaign repeatable elsewhere clean-room audit lock clean
 
 help: ## list these commands
-	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1	\2/p' Makefile | expand -t 18
 
 env: .venv/compiled ## make .venv with everything in environment.lock, and rhl on its path, its loops compiled
 

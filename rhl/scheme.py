@@ -166,7 +166,7 @@ class Scheme:
 
     @property
     def depth(self) -> int:
-        """The number of past outputs and inputs that a step uses."""
+        """The number of past outputs and inputs that a state keeps: enough for a step, and never fewer than that."""
         increments = 0 if self.set_point is None else 1
         return self.estimator.window + 1 + increments + max(self.lifting.outputs, self.lifting.inputs)
 

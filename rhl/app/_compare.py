@@ -55,7 +55,8 @@ def compared(options: argparse.Namespace) -> bool:
     for noise in levels:
         of = [(name, scores) for name, scores in done if scores[0].noise == noise]
         errors = f"noise {noise:g}" if noise else "no noise"
-        print_table(_table(of, f"{len(of)} plants, {options.steps} steps, {errors}, {bounds}"), 110, words)
+        number = "1 plant" if len(of) == 1 else f"{len(of)} plants"
+        print_table(_table(of, f"{number}, {options.steps} steps, {errors}, {bounds}"), 110, words)
         for row in summaries(score for _, scores in of for score in scores):
             print(
                 f"{row.method}: {row.at_rest} of {row.runs} at rest, {row.low_peak} of them with a peak below 100; "

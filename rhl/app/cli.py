@@ -158,10 +158,14 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument(
         "--collection", metavar="NAME", help="the plants of one collection only: compleib or literature"
     )
-    compare.add_argument("--method", action="append", metavar="NAME", help="a method to run; by default all")
+    compare.add_argument("--method", action="append", metavar="NAME", help="a method to run; repeatable (all)")
     compare.add_argument("--steps", type=int, default=400, metavar="T", help="how many steps (400)")
     compare.add_argument(
-        "--noise", type=float, action="append", metavar="S", help="errors of outputs, relative to the first output (0)"
+        "--noise",
+        type=float,
+        action="append",
+        metavar="S",
+        help="errors of outputs, relative to the first; repeatable (0)",
     )
     compare.add_argument(
         "--bounded", action="store_true", help="inputs at most three times those of the regulator that knows the plant"

@@ -86,7 +86,7 @@ class Experiment:
 
 
 def linear_example(*, printed: bool = False) -> Experiment:
-    """Return the linear example, equation (23), figures 2 to 6.
+    """Return the linear example, equation (23), figures 2 to 6; the paper's source has no samples of figure 3.
 
     By default it has the settings behind the published curves, eps(k) = 1/(1+100k); ``printed`` uses the text's
     1/(1+1000k). Settings that the text does not specify (initial model, one step of delay between estimate and control)
@@ -180,7 +180,7 @@ UNEXPLAINED = (12, 13, 14)
 
 
 def compare_linear(trace: Trace, *, printed: bool = False) -> list[Comparison]:
-    """Compare a free run of the linear example, and its scheme with published data fed back, with figures 2 to 6.
+    """Compare a free run of the linear example, and its scheme with published data fed back, with figures 2, 4, 5, 6.
 
     Examples
     --------

@@ -143,7 +143,7 @@ class Store:
         ):
             for name, mine, theirs in _differences(json.loads(json.dumps(now)), then):
                 raise InputError(
-                    f"--resume must find {what} as at the campaign's start, got {name} = {describe(mine)} and then "
+                    f"--resume must find {what} as at the campaign's start, got {name} = {describe(mine)}, which was "
                     f"{describe(theirs)}; start again in another folder"
                 )
         _trusted(folder)

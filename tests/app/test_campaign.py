@@ -148,7 +148,7 @@ def test_other_seeds(folder, capsys):
     assert found[0] != found[1]
     assert main(["campaign", "c.toml", "--output", "a1", "--resume"]) == 2
     assert said(capsys)[1] == (
-        "rhl: --resume must find the configuration as at the campaign's start, got seed = 2 and then 1; "
+        "rhl: --resume must find the configuration as at the campaign's start, got seed = 2, which was 1; "
         "start again in another folder\n"
     )
 

@@ -11,6 +11,7 @@ from rhl.app._compare import rows
 from rhl.plants.benchmarks import benchmark, names
 from rhl.study.compare import METHODS, Score, compare
 from rhl.study.record import Cell, condensed, main, recorded
+from tests.conftest import ROOT
 
 CELLS = {(cell.plant, cell.method, cell.noise, cell.bounded): cell for cell in recorded()}
 NOISE = (0.0, 0.01, 0.05)
@@ -106,3 +107,10 @@ def test_what_is_printed_is_what_is_read(tmp_path, capsys, monkeypatch):
         Cell("toy", "deepc", 0.0, True, 1, 1, 1, 2.5, 2.5),
         Cell("toy", "paper", 0.0, False, 1, 0, 0, np.inf, np.inf),
     )
+
+
+def test_the_readme_s_numbers_are_those_on_record():
+    of = [cell for cell in recorded() if cell.method == "default_scheme" and not cell.noise and not cell.bounded]
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert f"It brings {sum(cell.at_rest for cell in of)} of {sum(cell.runs for cell in of)} benchmark plants" in readme
+    assert f"Its median cost is {np.median([cell.cost for cell in of]):.0f} times that of the regulator" in readme

@@ -182,10 +182,13 @@ def test_folders_that_are_refused(made, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        (SETTINGS | {"seed": 2}, "the configuration as at the campaign.s start, got seed = 2 and then 1"),
-        (SETTINGS | {"noise": 0.1}, "got noise = 0.1 and then None"),
-        ({"schemes": SETTINGS["schemes"]}, "got seed = None and then 1"),
-        (SETTINGS | {"schemes": [{"base": "default"}, {"base": "default"}]}, r"got schemes\[2\].base = 'default' and"),
+        (SETTINGS | {"seed": 2}, "the configuration as at the campaign.s start, got seed = 2, which was 1"),
+        (SETTINGS | {"noise": 0.1}, "got noise = 0.1, which was None"),
+        ({"schemes": SETTINGS["schemes"]}, "got seed = None, which was 1"),
+        (
+            SETTINGS | {"schemes": [{"base": "default"}, {"base": "default"}]},
+            r"got schemes\[2\].base = 'default', which was",
+        ),
         (SETTINGS | {"schemes": [{"base": "default"}]}, "got schemes = "),
     ],
 )
@@ -200,7 +203,7 @@ def test_another_version(made, name):
     provenance = json.loads(path.read_text(encoding="utf-8"))
     provenance["versions"][name] = "0"
     path.write_text(json.dumps(provenance), encoding="utf-8")
-    with pytest.raises(InputError, match=f"the versions as at the campaign.s start, got {name} = .* and then '0'"):
+    with pytest.raises(InputError, match=f"the versions as at the campaign.s start, got {name} = .*, which was '0'"):
         Store.resume(made.path, CAMPAIGN, SETTINGS)
 
 

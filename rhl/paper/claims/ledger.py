@@ -75,12 +75,19 @@ def select(ids: Sequence[str]) -> list[Claim]:
     unknown = sorted({id for id in wanted if not any(fnmatchcase(claim.id, id) for claim in CLAIMS)})
     if unknown:
         ids = [claim.id for claim in CLAIMS]
-        near = [close for id in unknown for close in get_close_matches(id.lower().replace(" ", "-"), ids, 1)]
-        hint = f"; did you mean {', '.join(near)}?" if near else ""
+        near = [_near(id.lower().replace(" ", "-"), ids) for id in unknown]
+        hint = f"; did you mean {', '.join(filter(None, near))}?" if any(near) else ""
         raise InputError(
             f"ID must be one of the ledger's ('rhl verify --list' shows them), got {', '.join(unknown)}{hint}"
         )
     return [claim for claim in CLAIMS if not wanted or any(fnmatchcase(claim.id, id) for id in wanted)]
+
+
+def _near(id: str, ids: list[str]) -> str:
+    """Return the pattern for all claims of a result, or else the id that is most alike; empty if none is."""
+    if any(other.startswith(f"{id}.") for other in ids):
+        return f"'{id}.*'"
+    return next(iter(get_close_matches(id, ids, 1)), "")
 
 
 def of_page(name: str) -> list[Claim]:

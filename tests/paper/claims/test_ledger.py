@@ -78,6 +78,8 @@ def test_the_search_is_found_by_either_name():
     assert ledger.select(["brief-lemma-4"]) == ledger.select(["lambda-search"]) == ledger.select(["lemma-5"])
     with pytest.raises(InputError, match="ID must be one of the ledger's"):
         ledger.select(["lemma-44"])
+    with pytest.raises(InputError, match=r"got lemma-1, lemma-44; did you mean 'lemma-1\.\*', lemma-4"):
+        ledger.select(["lemma-1", "lemma-44"])
 
 
 def test_a_pattern_selects_every_id_that_it_matches():
