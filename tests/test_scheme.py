@@ -20,6 +20,7 @@ from rhl.plants import LinearPlant
 from rhl.schedules import PowerDecay
 from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
+from rhl.tracking import SetPoint
 
 NAN = np.nan
 
@@ -237,6 +238,14 @@ def test_default_scheme_is_another_where_noise_is_expected():
     for made in (exact, noisy):
         assert (made.controller.Q, made.controller.QN) == (1.0, 1.0)
         assert made.controller.epsilon(9) == pytest.approx(1e-2)
+
+
+@pytest.mark.parametrize(
+    ("p", "q", "order", "set_point", "horizon"),
+    [(1, 1, 2, None, 30), (2, 1, 3, None, 30), (2, 2, 5, None, 36), (2, 2, 5, SetPoint(1.0), 100), (9, 9, 3, None, 90)],
+)
+def test_the_default_horizon_is_twice_the_augmented_state_s_size(p, q, order, set_point, horizon):
+    assert default_scheme(p, q, order, set_point=set_point).controller.horizon == horizon
 
 
 def test_default_brings_an_unstable_plant_to_rest():
