@@ -24,8 +24,7 @@ def needed(reason: str) -> NoReturn:
 
 def current_book() -> Path:
     """The folder of the built book; without an up-to-date one, skips, and in continuous integration fails."""
-    now = {"outputs": fresh.digest(ROOT, fresh.OUTPUTS_NEED), "pages": fresh.digest(ROOT, fresh.PAGES_NEED)}
-    if fresh.read_record(ROOT) != now:
+    if not fresh.is_current(ROOT):
         needed("no built book that is newer than its sources; `make book` makes one")
     return HTML
 

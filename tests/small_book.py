@@ -18,6 +18,7 @@ COPIED = (
     "book/references.bib",
     "_config.yml",
     "environment.lock",
+    "pyproject.toml",
     "CITATION.cff",
 )
 # What the page to explore needs takes long to compute, and the small book has no such page.

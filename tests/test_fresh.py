@@ -1,9 +1,11 @@
 """The book is built anew exactly when something it shows may have changed."""
 
+import shlex
 import sys
 
 import pytest
 
+from tests.conftest import ROOT
 from tools import fresh
 
 FILES = {
@@ -11,12 +13,16 @@ FILES = {
     "rhl/paper/data/y.csv": "0,1\n",
     "rhl/__pycache__/model.pyc": "compiled",
     "environment.lock": "numpy==2\n",
+    "pyproject.toml": "[project]\n",
+    "tools/execute.py": "RUN = 1\n",
+    "notebooks/conftest.py": "REFUSED = ()\n",
     "_config.yml": "title: book\n",
     "_toc.yml": "root: book/index\n",
     "book/index.md": "# Book\n",
     "notebooks/01.ipynb": "{}",
     "README.md": "read me\n",
 }
+OF_PAGES = {"_toc.yml", "book/index.md", "notebooks/01.ipynb"}
 SUCCEED = [sys.executable, "-c", ""]
 FAIL = [sys.executable, "-c", "raise SystemExit(3)"]
 
@@ -32,11 +38,11 @@ def root(tmp_path):
 
 
 def build(root, command=SUCCEED):
-    """A build that leaves the three folders that the real one leaves."""
-    status = fresh.main(command, root)
-    for folder in (".jupyter_cache", ".doctrees", "html"):
-        (root / fresh.BUILT / folder).mkdir(parents=True, exist_ok=True)
-    return status
+    """A build that leaves the three folders that the real one leaves, with a page."""
+    leave = ["mkdir", "-p", *(f"{fresh.BUILT}/{folder}" for folder in (".jupyter_cache", ".doctrees", "html"))]
+    return fresh.main(
+        ["sh", "-c", f"{shlex.join(leave)}; echo a > {fresh.BUILT}/html/a.html; {shlex.join(command)}"], root
+    )
 
 
 def kept(root):
@@ -55,14 +61,14 @@ def test_nothing_changed(root):
     assert kept(root) == EVERYTHING
 
 
-@pytest.mark.parametrize("name", ["rhl/model.py", "rhl/paper/data/y.csv", "environment.lock", "_config.yml"])
+@pytest.mark.parametrize("name", sorted(FILES.keys() - OF_PAGES - {"README.md", "rhl/__pycache__/model.pyc"}))
 def test_changed_byte_below_the_outputs(root, name):
     text = (root / name).read_text()
     (root / name).write_text(text.replace(text[0], "~", 1))
     assert kept(root) == NOTHING
 
 
-@pytest.mark.parametrize("name", ["_toc.yml", "book/index.md", "notebooks/01.ipynb"])
+@pytest.mark.parametrize("name", sorted(OF_PAGES))
 def test_changed_byte_in_a_page(root, name):
     text = (root / name).read_text()
     (root / name).write_text(text.replace(text[0], "~", 1))
@@ -126,3 +132,39 @@ def test_illegible_record(root, text):
 def test_command_runs_in_root(root):
     assert fresh.main([sys.executable, "-c", "open('was-here', 'w').close()"], root) == 0
     assert (root / "was-here").exists()
+
+
+def test_another_interpreter_or_package_keeps_nothing(root, monkeypatch):
+    assert fresh.is_current(root)
+    monkeypatch.setattr(fresh, "installed", lambda: "another")
+    assert not fresh.is_current(root)
+    assert kept(root) == NOTHING
+
+
+def test_a_page_that_is_gone_is_built_again(root):
+    (root / fresh.BUILT / "html/a.html").unlink()
+    assert not fresh.is_current(root)
+    assert kept(root) == OUTPUTS
+
+
+# Numbers may have been computed while the file was another one.
+EDITED = "from pathlib import Path; file = Path('rhl/model.py'); text = file.read_text(); file.write_text('A = 2')"
+
+
+@pytest.mark.parametrize("and_back", ["", "; file.write_text(text)"])
+def test_an_edit_during_a_build_keeps_nothing(root, capsys, and_back):
+    assert build(root, [sys.executable, "-c", EDITED + and_back]) == 1
+    assert (
+        "must not change while the book is built, got a change of rhl/model.py; build it again"
+        in capsys.readouterr().out
+    )
+    assert not fresh.is_current(root)
+    assert kept(root) == NOTHING
+
+
+def test_two_builds_at_once_are_refused(root):
+    second = f"import sys; sys.path.insert(0, {str(ROOT)!r}); from tools import fresh; from pathlib import Path; "
+    second += "sys.exit(0 if fresh.main(['true'], Path()) == 1 else 3)"
+    assert build(root, [sys.executable, "-c", second]) == 0
+    assert fresh.is_current(root)
+    assert build(root) == 0

@@ -3,6 +3,7 @@
 import ast
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -179,3 +180,45 @@ def test_listed_mutants_are_still_places_of_the_library():
     listed = mutants.known_equivalent()
     assert set(listed) <= places
     assert all(len(reason.split()) > 3 for reason in listed.values())
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["tests", "--size", "0"], "--size must be an integer of at least 1, got 0"),
+        (["tests", "--at-least", "nan"], "--at-least must be a number from 0 to 1, got nan"),
+        (["verify", "--root", "nowhere"], "--root must be a checkout of the project, got nowhere without rhl/"),
+        (["verify", "--before", "nothing"], "--before must be results of an earlier run, found no file nothing"),
+        (["verify", "--room", "rhl/nosuch.py"], "--room must be a file or folder of rhl/ with members of the sample"),
+    ],
+)
+def test_what_would_judge_nothing_is_refused(tmp_path, monkeypatch, capsys, given, says):
+    monkeypatch.setattr("sys.argv", ["mutants", *given, "--output", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as left:
+        mutants.main()
+    assert left.value.code == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_result_that_was_cut_off_is_left_out(tmp_path):
+    record = tmp_path / "tests.jsonl"
+    assert mutants.kept(record) == []
+    record.write_text('\n{"id": "a"}\n{"id": "b", "ver\n{"id": "c"}', encoding="utf-8")
+    assert mutants.kept(record) == [{"id": "a"}, {"id": "c"}]
+
+
+def test_lines_that_were_not_measured_to_the_end_are_measured_again(tmp_path, monkeypatch):
+    """So are those of a run that was killed, which leave a file of one process."""
+    folder, ran = tmp_path / "covered", []
+    folder.mkdir()
+    (folder / "1.json").write_text('{"stale": {}}', encoding="utf-8")
+
+    def measured(command, **named):
+        ran.append(command)
+        folder.mkdir()
+        (folder / "2.json").write_text('{"new": {}}', encoding="utf-8")
+        return SimpleNamespace(returncode=1)
+
+    monkeypatch.setattr(mutants.subprocess, "run", measured)
+    assert [mutants.covered(tmp_path, folder) for _ in range(2)] == [{"new": {}}] * 2
+    assert len(ran) == 1

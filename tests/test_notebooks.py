@@ -114,6 +114,13 @@ def test_a_notebook_is_executed_once_for_the_book_and_the_tests(tmp_path):
     assert not execute.executed_for_the_book(tmp_path, path)
 
 
+def test_a_cache_that_cannot_be_read_begins_anew(tmp_path, capsys):
+    (tmp_path / execute.CACHE).mkdir(parents=True)
+    (tmp_path / execute.CACHE / "global.db").write_bytes(b"no database" * 100)
+    assert execute.opened(tmp_path).list_cache_records() == []
+    assert "the cache of outputs must be a database, got: file is not a database" in capsys.readouterr().out
+
+
 def test_a_failing_notebook_is_not_kept(tmp_path):
     for name in ("notebooks", "book"):
         (tmp_path / name).mkdir()

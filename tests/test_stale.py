@@ -46,6 +46,8 @@ def test_a_number_is_never_older_than_the_data(book):
     [
         ("_config.yml", "search_bar_text: Search this book", "search_bar_text: Other words", 1, "book/index.html"),
         ("environment.lock", "# Everything the project runs on", "# Other words", 1, ""),
+        ("pyproject.toml", "[project]", "# Other words\n[project]", 1, ""),
+        ("tools/execute.py", "ROOT = ", "# Other words\nROOT = ", 1, ""),
         ("_toc.yml", "caption: Numbers", "caption: Other words", 0, "book/index.html"),
         ("notebooks/01-number.ipynb", "# A number", "# Other words", 0, "notebooks/01-number.html"),
         ("notebooks/01-number.ipynb", "rate=2.0", "rate=4.0", 1, ""),

@@ -20,8 +20,9 @@ import nbformat
 from jupyter_cache import get_cache
 from jupyter_cache.base import CacheBundleIn, JupyterCacheAbstract
 from myst_nb.core.read import read_myst_markdown_notebook
+from sqlalchemy.exc import DatabaseError
 
-from tools.fresh import BUILT, OUTPUTS_NEED, digest, read_record
+from tools.fresh import BUILT, read_record, state
 
 ROOT = Path(__file__).resolve().parent.parent
 CACHE = f"{BUILT}/.jupyter_cache"
@@ -41,6 +42,18 @@ def pages(root: Path) -> Iterator[tuple[Path, nbformat.NotebookNode]]:
             yield path, read_myst_markdown_notebook(text, path=path)
 
 
+def opened(root: Path) -> JupyterCacheAbstract:
+    """The book's cache; one that cannot be read is removed, and begins anew."""
+    try:
+        cache = get_cache(root / CACHE)
+        cache.list_cache_records()
+    except DatabaseError as error:
+        print(f"the cache of outputs must be a database, got: {error.orig}; it begins anew", flush=True)
+        shutil.rmtree(root / CACHE)
+        cache = get_cache(root / CACHE)
+    return cache
+
+
 def cached(cache: JupyterCacheAbstract, notebook: nbformat.NotebookNode) -> bool:
     """Whether the cache holds outputs of exactly these cells."""
     try:
@@ -51,7 +64,7 @@ def cached(cache: JupyterCacheAbstract, notebook: nbformat.NotebookNode) -> bool
 
 def executed_for_the_book(root: Path, notebook: Path) -> bool:
     """Whether nbmake executed this notebook, as it is now, with the library as it is now."""
-    if read_record(root).get("outputs") != digest(root, OUTPUTS_NEED) or not (root / CACHE).is_dir():
+    if read_record(root).get("outputs") != state(root)["outputs"] or not (root / CACHE).is_dir():
         return False
     return cached(get_cache(root / CACHE), nbformat.read(notebook, as_version=4))
 
@@ -67,7 +80,7 @@ def with_outputs(notebook: nbformat.NotebookNode, executed: nbformat.NotebookNod
 
 def main(root: Path, processes: int) -> int:
     """Execute what the cache does not hold; returns the exit status of the last failure."""
-    cache = get_cache(root / CACHE)
+    cache = opened(root)
     copies = root / COPIES
     shutil.rmtree(copies, ignore_errors=True)
     shutil.copytree(root / "notebooks", copies / "notebooks", ignore=shutil.ignore_patterns("*.ipynb", ".*", "__*"))

@@ -10,7 +10,8 @@ here. The sample is chosen by the hashes of the changes, not by positions, so th
 change. `tools/equivalent.toml` lists changes that no test can notice, each with the reason.
 
 Everything runs in a copy of the tree. Results are appended to build/mutants/<what>.jsonl after each mutant, so that an
-interrupted run goes on where it ended.
+interrupted run goes on where it ended. They are of one state of library, tests and notebooks: after a change of these
+every mutant is judged anew, first by the test that noticed it before.
 """
 
 import argparse
@@ -31,6 +32,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any
 
+from tools.fresh import digest
 from tools.mutations import Mutant, notebook_sample, sample
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -81,14 +83,16 @@ def copy_tree(root: Path, tree: Path) -> None:
 
 
 def covered(tree: Path, folder: Path) -> dict[str, dict]:
-    """For each test its seconds and lines, measured now unless it was measured before."""
-    if not any(folder.glob("*.json")):
+    """For each test its seconds and lines, measured now unless they were measured before, to the end."""
+    complete = folder / "complete"
+    if not complete.exists():
+        shutil.rmtree(folder, ignore_errors=True)
         print("running the tests once to see which lines each of them executes", flush=True)
         pytest = [sys.executable, "-m", "pytest", "-q", "-n", "2", "-p", "tools.covered", "tests", "rhl", "README.md"]
         done = subprocess.run(pytest, cwd=tree, env=_environment(tree) | {"RHL_COVERED": str(folder)}, check=False)
         if done.returncode not in (0, 1):  # tests that fail here, for want of a repository, count for nothing
-            shutil.rmtree(folder, ignore_errors=True)
             raise SystemExit("the tests must run before mutants can be judged")
+        complete.touch()
     tests: dict[str, dict] = {}
     for file in sorted(folder.glob("*.json")):
         tests |= json.loads(file.read_text(encoding="utf-8"))
@@ -113,7 +117,9 @@ def _trace_notebook(tree: Path, notebook: str, output: Path) -> None:
     data = tracer.get_data()
     lines = {Path(file).relative_to(tree).as_posix(): data.lines(file) for file in data.measured_files()}
     record = {notebook: {"seconds": time.monotonic() - begin + 3, "lines": lines}}
-    output.write_text(json.dumps(record), encoding="utf-8")
+    part = output.with_suffix(".part")
+    part.write_text(json.dumps(record), encoding="utf-8")
+    part.rename(output)
 
 
 def covered_by_notebooks(tree: Path, folder: Path) -> dict[str, dict]:
@@ -270,6 +276,15 @@ def table(results: list[dict]) -> str:
     return "\n".join("  ".join(f"{cell:>13}" if i else f"{cell:18}" for i, cell in enumerate(row)) for row in rows)
 
 
+def kept(record: Path) -> list[dict[str, Any]]:
+    """The results on record; a last line that was not written to its end is left out."""
+    rows = []
+    for line in record.read_text(encoding="utf-8").splitlines() if record.exists() else ():
+        with contextlib.suppress(json.JSONDecodeError):
+            rows.append(json.loads(line))
+    return rows
+
+
 def claims_by_seconds(tree: Path) -> list[str]:
     """Ids of all claims, those that are checked fastest first."""
     code = (
@@ -288,17 +303,26 @@ def main() -> int:
     parser.add_argument("--size", type=int, default=300, help="about as many mutants (default: 300)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--room", default="rhl", help="a file or folder of rhl/ (default: all)")
-    parser.add_argument("--at-least", type=float, default=0.0, help="share that has to be noticed")
+    parser.add_argument("--at-least", type=float, default=0.0, help="share that has to be noticed, from 0 to 1")
     parser.add_argument("--root", type=Path, default=ROOT, help="another checkout of the project")
     parser.add_argument("--output", type=Path, default=OUTPUT)
     parser.add_argument("--before", type=Path, help="results of an earlier run, whose failing tests are tried first")
     parser.add_argument("--again", action="store_true", help="judge those anew that survived")
     options = parser.parse_args()
+    if options.size < 1:
+        parser.error(f"--size must be an integer of at least 1, got {options.size}")
+    if not 0 <= options.at_least <= 1:
+        parser.error(f"--at-least must be a number from 0 to 1, got {options.at_least}")
+    if not (options.root / "rhl").is_dir():
+        parser.error(f"--root must be a checkout of the project, got {options.root} without rhl/")
+    if options.before and not options.before.is_file():
+        parser.error(f"--before must be results of an earlier run, found no file {options.before}")
     tree, record = options.output / f"{options.what}-tree", options.output / f"{options.what}.jsonl"
     options.output.mkdir(parents=True, exist_ok=True)
     copy_tree(options.root, tree)
 
-    by_notebook = {} if options.what == "verify" else covered_by_notebooks(tree, options.output / "notebooks")
+    of = digest(tree, ("rhl", "tests", "notebooks", "README.md", "environment.lock"))[:16]
+    by_notebook = {} if options.what == "verify" else covered_by_notebooks(tree, options.output / f"notebooks-{of}")
     if options.what == "notebooks":
         lines = {name: record["lines"] for name, record in by_notebook.items()}
         pairs = notebook_sample(tree, lines, options.seed)
@@ -307,13 +331,16 @@ def main() -> int:
     if options.what == "verify":  # what the claims are about, not the claims
         pairs = [(name, mutant) for name, mutant in pairs if not mutant.file.startswith(NO_CLAIM)]
     if options.what == "tests":
-        tests = covered(tree, options.output / "covered") | by_notebook
+        tests = covered(tree, options.output / f"covered-{of}") | by_notebook
     claims = claims_by_seconds(tree) if options.what == "verify" else []
 
-    rows = [json.loads(line) for line in record.read_text(encoding="utf-8").splitlines()] if record.exists() else []
-    done = {row["id"]: row for row in rows if not (options.again and row["verdict"] == "survived")}
-    lines_before = options.before.read_text(encoding="utf-8").splitlines() if options.before else []
-    before = {row["id"]: row.get("by", "") for row in map(json.loads, lines_before)}
+    if not pairs:
+        parser.error(f"--room must be a file or folder of rhl/ with members of the sample, got {options.room!r}")
+    rows = kept(record)
+    done = {
+        row["id"]: row for row in rows if row.get("of") == of and not (options.again and row["verdict"] == "survived")
+    }
+    before = {row["id"]: row.get("by", "") for row in (*rows, *(kept(options.before) if options.before else ()))}
     reasons = known_equivalent()
     controlled: set[str] = set()
     results = []
@@ -336,11 +363,14 @@ def main() -> int:
 
     for number, (notebook, mutant) in enumerate(pairs, 1):
         row = done.get(notebook + mutant.id)
-        if row is None:
-            row = {"id": notebook + mutant.id, "room": mutant.room} | asdict(mutant) | verdict(notebook, mutant)
+        if row is None or (row["verdict"] == "equivalent") != (
+            (mutant.function, mutant.before, mutant.after) in reasons
+        ):
+            row = {"id": notebook + mutant.id, "room": mutant.room, "of": of}
+            row |= asdict(mutant) | verdict(notebook, mutant)
             del row["content"]
             with record.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+                file.write(f"\n{json.dumps(row)}")
         results.append(row)
         print(
             f"{number}/{len(pairs)} {row['verdict']:10} {row['seconds']:5.0f} s  {mutant.file}:{mutant.line}",

@@ -73,4 +73,6 @@ def main(folder: Path) -> int:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("one folder must be given, in which to build; type 'make repeatable'")
     sys.exit(main(Path(sys.argv[1]).resolve()))
