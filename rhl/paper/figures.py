@@ -69,7 +69,7 @@ def opening(curves: Mapping[str, Array], steps: int = 25) -> str:
     >>> picture.count("<path")
     3
     """
-    width, height, left, right, top, bottom = 640.0, 232.0, 44.0, 630.0, 12.0, 186.0
+    width, height, left, right, top, bottom = 640.0, 232.0, 44.0, 616.0, 12.0, 186.0
     low, high = -3.0, 12.0
     x = left + (right - left) * np.arange(steps) / (steps - 1)
 
@@ -92,7 +92,7 @@ def opening(curves: Mapping[str, Array], steps: int = 25) -> str:
     )
     alone = 100 * curves["left alone"][:steps]
     leaves = float(np.interp(high, alone, x))
-    note = f'<text class="note" x="{leaves + 12:.1f}" y="{top + 16:g}">runs away</text>'
+    note = f'<text class="note" x="{leaves + 12:.1f}" y="{top + 24:g}">runs away</text>'
     lines = "".join(path(name, values) for name, values in reversed(list(curves.items())))
     keys = "".join(f'<span class="key {name.replace(" ", "-")}">{name}</span>' for name in curves)
     return (
