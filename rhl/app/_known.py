@@ -181,7 +181,7 @@ def lengthen(plant: LinearPlant, scheme: Scheme) -> str:
 
 def less_peak(plant: LinearPlant, scheme: Scheme) -> str:
     """Say what lowers the peak; a lower order only where it is above the observability index."""
-    if stacked(scheme) <= index_needed(plant, scheme):
+    if stacked(scheme) <= _order_needed(plant, scheme) + (scheme.set_point is not None):
         return _ROUGH
     return f"lower order to {_order_needed(plant, scheme)}, which the observability index allows, or {_ROUGH}"
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rhl.app import _after, diagnosis
+from rhl.app._known import less_peak
 from rhl.app.diagnosis import Diagnosis, Finding, diagnose, diagnose_run
 from rhl.basis import Polynomials
 from rhl.controllability import LambdaSearch
@@ -616,7 +617,9 @@ def test_disturbances_that_are_known_explain_a_run():
     for start, named in ((0, "the sensor errors of this run"), (40, "the sensor errors and the load of this run")):
         acting = {"sensor": noise, "load": Offset(0.2, start)}
         run = simulate(tracks, PLANT, [1.0, -1.0], 80, **acting)
-        assert f"; {named} explain it" in says(diagnose_run(run, PLANT, **acting), subject)
+        found = diagnose_run(run, PLANT, **acting)
+        assert f"; {named} explain it" in says(found, subject)
+        assert "; set noise to the standard deviation of the sensor errors, and read" in says(found, "Set point")
     later = simulate(tracks, PLANT, [1.0, -1.0], 80, sensor=noise)
     assert "give set_point" not in says(diagnose_run(later), "Set point")
     unknown = replace(run, applied_known=False)
@@ -633,6 +636,56 @@ def test_disturbances_that_are_known_explain_a_run():
     assert "the sensor errors of this run explain all or a part of it" in says(
         diagnose_run(shaken, arm.plant, sensor=noise), subject
     )
+
+
+def test_only_what_acts_is_asked_for():
+    scheme = default_scheme(1, 1, 2)
+    loaded = simulate(scheme, PLANT, [1.0, -1.0], 80, load=Offset(0.4))
+    hint = says(diagnose_run(loaded, PLANT, load=Offset(0.4)), GOES)
+    assert "; give set_point, with which" in hint
+    assert "set noise" not in hint
+    # What acts after the end of a run does not explain it.
+    late = Offset(0.4, 1000)
+    short = simulate(scheme, PLANT, [1.0, -1.0], 12, load=late)
+    assert "not converged yet: run more steps" in says(diagnose_run(short, PLANT, load=late), GOES)
+
+
+def test_a_known_cause_needs_no_pointer_to_other_findings():
+    run = simulate(default_scheme(1, 1, 2), LATE, np.ones(5), 80)
+    pointer = "read the suspect findings below"
+    assert pointer in says(diagnose_run(run), GOES)
+    assert pointer not in says(diagnose_run(run, LATE), GOES)
+
+
+def test_a_lower_order_is_not_advised_from_a_linearisation():
+    """A nonlinear plant may need more values than its linearisation."""
+    plant = FunctionPlant(lambda z, v: FAST.step(z, v), FAST.output, n=2, q=1)
+    run = simulate(default_scheme(1, 1, 4), plant, [1.0, 0.5], 80)
+    for found, subject in (
+        (diagnose_run(run, plant), "Peak of the outputs"),
+        (diagnose(plant, run.scheme, z0=[1.0, 0.5]), "Peak to expect"),
+    ):
+        assert "lower order if it is above the observability index" in says(found, subject)
+
+
+@pytest.mark.parametrize(("order", "advice"), [(1, "begin"), (2, "lower order to 1")])
+def test_the_least_order_is_one(order, advice):
+    """With a set point and a delay one value suffices, but order = 1 stacks two."""
+    delay = LinearPlant([[0.0]], [[1.0]], [[1.0]])
+    assert less_peak(delay, default_scheme(1, 1, order, set_point=SetPoint(1.0))).startswith(advice)
+
+
+def test_a_set_point_that_moves_is_judged_at_the_end_of_the_run():
+    words, plans = "no input within the bounds holds", Saturation(-1.0, 1.0)
+    for late, said in ((7.5, True), (2.5, False)):
+        target = SetPoint(lambda k, late=late: [10.0 - late if k < 97 else late])
+        run = simulate(default_scheme(1, 1, 1, set_point=target, bounds=plans), TANK, [0.0], 100, actuator=plans)
+        found = diagnose_run(run, TANK, actuator=plans)
+        assert verdicts(found)["Set point"] == "suspect"
+        assert (words in says(found, "Set point")) == said
+        # The bounds on a linearisation decide nothing far from zero.
+        nonlinear = FunctionPlant(lambda z, v: TANK.step(z, v), TANK.output, n=1, q=1)
+        assert words not in says(diagnose_run(run, nonlinear, actuator=plans), "Set point")
 
 
 def signals(y, v=0.0, scheme=None):
