@@ -209,9 +209,11 @@ def holding(
     if np.max(np.abs(held @ found - wanted)) > FITS * np.max(np.abs(wanted)):
         return None
     # The load is added to what the actuator applies.
-    v = found[n:] - sum(np.broadcast_to(part.value, q) for part in _parts(load) if isinstance(part, Offset))
+    loads = [Offset(part.value)(0, np.zeros(q)) for part in _parts(load) if isinstance(part, Offset)]
+    v = np.asarray(found[n:] - sum(loads), dtype=np.float64)
     if bounds is None:
         return Holding(v)
+    bounds(0, v)  # their number must be that of the inputs
     low, high = np.broadcast_to(bounds.low, q), np.broadcast_to(bounds.high, q)
     if not _exceeds(v, low, high):
         return Holding(v)

@@ -79,9 +79,7 @@ def diagnose(
     """
     check_plant(plant)
     instance("scheme", scheme, Scheme)
-    for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
-        if found != wanted:
-            raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
+    _check_sizes(plant, scheme)
     start = None if z0 is None else real_array("z0", z0, (plant.n,))
     return Diagnosis(
         (
@@ -104,7 +102,7 @@ def diagnose_run(
 
     Given the plant and the disturbances of the run, the advice follows from them too: no setting helps if an input does
     not reach an unstable mode. The trace may be that of a run that stopped early, its error's ``trace``. InputError if
-    the trace is a batch.
+    the trace is a batch, or the plant does not fit its scheme.
 
     Examples
     --------
@@ -121,6 +119,7 @@ def diagnose_run(
     told = Known()
     if plant is not None:
         check_plant(plant)
+        _check_sizes(plant, trace.scheme)
         acting = {"sensor": sensor, "actuator": actuator, "load": load}
         told = known(plant, trace.scheme, len(trace), **acting, applied_known=trace.applied_known)
     rest = of_rest(trace)
@@ -129,6 +128,12 @@ def diagnose_run(
     models = tuple(of_models(trace, told))
     below = any(finding.verdict == "suspect" for finding in models)
     return Diagnosis((*of_signals(trace, below, told), *models))
+
+
+def _check_sizes(plant: Plant, scheme: Scheme) -> None:
+    for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
+        if found != wanted:
+            raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
 
 
 def _of_plant(

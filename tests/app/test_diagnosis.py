@@ -246,6 +246,13 @@ def test_it_prints_a_line_for_each_finding():
             lambda: diagnose_run(simulate(SCHEME, PLANT, np.ones((3, 2)), 5)),
             r"must be of one run, got a batch of shape",
         ),
+        (lambda: diagnose_run(simulate(SCHEME, PLANT, np.ones(2), 5), 3), "^plant must be a plant"),
+        (
+            lambda: diagnose_run(simulate(SCHEME, PLANT, np.ones(2), 5), example("quadruple-tank").plant),
+            "the plant must have 1 outputs.* got 2",
+        ),
+        (lambda: diagnose(TANK, TRACKS, load=Offset([0.1, 0.2])), "value must be a number or have 1 entries.* got 2"),
+        (lambda: diagnose(TANK, TRACKS, actuator=Saturation([-1, -1], [1, 1])), "low must be a number or have 1 ent"),
         (lambda: Diagnosis((Finding("x", "fine", "y"),)), "verdict must be one of met, .* got 'fine'"),
     ],
 )
@@ -423,6 +430,7 @@ BLIND = LinearPlant([[1.2, 0.0], [0.0, 0.5]], [[1.0], [1.0]], [[0.0, 1.0]])
 GOES = "State and input go to zero in this run"
 ONLY = "a linear model of the run's signals exists"
 TANK = LinearPlant([[0.9]], [[0.5]], [[1.0]])  # an input v holds it at 5 v
+TRACKS = default_scheme(1, 1, 1, set_point=SetPoint(1.0))
 
 
 def test_a_run_with_too_low_an_order_asks_for_the_observability_index():
