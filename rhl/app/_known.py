@@ -209,8 +209,7 @@ def holding(
     if np.max(np.abs(held @ found - wanted)) > FITS * np.max(np.abs(wanted)):
         return None
     # The load is added to what the actuator applies.
-    loads = [Offset(part.value)(0, np.zeros(q)) for part in _parts(load) if isinstance(part, Offset)]
-    v = np.asarray(found[n:] - sum(loads), dtype=np.float64)
+    v = np.asarray(found[n:] - constant_load(load, q), dtype=np.float64)
     if bounds is None:
         return Holding(v)
     bounds(0, v)  # their number must be that of the inputs
@@ -219,6 +218,12 @@ def holding(
         return Holding(v)
     v = _nearest(v, held, n, low, high)
     return Holding(v, _exceeds(v, low, high))
+
+
+def constant_load(load: Disturbances | None, q: int) -> Array:
+    """Return what constants add to the inputs, shape (q,); other loads are not counted."""
+    constants = [Offset(part.value)(0, np.zeros(q)) for part in _parts(load) if isinstance(part, Offset)]
+    return np.sum([np.zeros(q), *constants], axis=0)
 
 
 def _nearest(v: Array, held: Array, n: int, low: Array, high: Array) -> Array:

@@ -16,6 +16,7 @@ from rhl.app._known import (
     LESS_PEAK,
     Known,
     bounds_of,
+    constant_load,
     holding,
     index_needed,
     known,
@@ -184,7 +185,8 @@ def _of_set_point(plant: LinearPlant, r: Array, bounds: Saturation | None, load:
     if held is None or held.exceeds:
         return Finding(subject, "violated", unheld(held))
     inputs = ", ".join(f"{value:.3g}" for value in held.inputs)
-    return Finding(subject, "met", f"the inputs {inputs} hold the outputs at it{' under the load' if load else ''}")
+    under = " under the load" if np.any(constant_load(load, plant.q)) else ""
+    return Finding(subject, "met", f"the inputs {inputs} hold the outputs at it{under}")
 
 
 def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array, lower: str, violated: list[str]) -> Finding:

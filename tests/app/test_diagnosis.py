@@ -559,6 +559,9 @@ def test_a_load_moves_the_input_that_holds_a_set_point():
     helped = diagnose(TANK, scheme, load=Offset(0.2))
     assert says(helped, subject) == "the inputs 0.9 hold the outputs at it under the load"
     assert verdicts(diagnose(TANK, scheme, load=Offset(-0.2)))[subject] == "violated"
+    # A load that is not a constant is not counted.
+    own = diagnose(TANK, default_scheme(1, 1, 1, set_point=SetPoint(4.5)), load=lambda k, v: v + 0.2)
+    assert says(own, subject) == "the inputs 0.9 hold the outputs at it"
 
 
 def test_of_several_inputs_others_may_hold_a_set_point():
