@@ -146,6 +146,7 @@ APP = [
         f"app.{name}"
         for name in (
             "_finding",
+            "_known",
             "_after",
             "diagnosis",
             "_keys",

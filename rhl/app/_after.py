@@ -8,6 +8,7 @@ import numpy as np
 
 from rhl._checks import Array
 from rhl.app._finding import Finding, Verdict
+from rhl.app._known import FITS, Known
 from rhl.errors import InputError
 from rhl.state import Step
 from rhl.trace import Trace
@@ -16,14 +17,10 @@ from rhl.trace import Trace
 LOST = 1e-9
 # The end of a run is its last tenth; a signal has converged if it is this much smaller there than at the beginning.
 _END, _GONE = 10, 1e-3
-# A model that misses more than this share of a run's signals does not reproduce them.
-FITS = 1e-6
 # With sensor errors, outputs remain that are a few times as large as the errors.
 _FLOOR = 10.0
 # A peak above this many times the first output is suspect.
 _PEAK = 100.0
-# Remedies that helped on plants not used to choose the rule; the book's page on symptoms has the shares.
-LESS_PEAK = "lower order if it is above the observability index, or begin from a [rough] model that is right to a tenth"
 _CHOSEN = "give order in place of [lifting], [estimator] and [controller]"
 # Larger gains of the plans make Assumption 5 doubtful.
 _GAIN = 1e4
@@ -33,7 +30,26 @@ def _size(rows: Array) -> Array:
     return np.max(np.abs(rows), axis=-1)
 
 
-def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
+def of_rest(trace: Trace) -> Finding | None:
+    """Say that nothing was excited, if outputs and inputs were zero throughout and the state did not move."""
+    moved = trace.plant_state is not None and np.any(trace.z != trace.z[0])
+    if moved or np.any(trace.error) or np.any(trace.v):
+        return None
+    tracks = trace.set_point is not None
+    return Finding(
+        _subject(trace),
+        "note",
+        f"the run began at rest{' at its set point' if tracks else ''} and nothing disturbed it, so nothing was "
+        "excited: it says nothing about plant and scheme; begin from another z0"
+        + (" or give another set_point" if tracks else ""),
+    )
+
+
+def _subject(trace: Trace) -> str:
+    return "State and input go to zero in this run" if trace.set_point is None else "Set point"
+
+
+def of_signals(trace: Trace, suspect_below: bool, known: Known) -> Iterator[Finding]:
     """Judge state and input, or outputs and increments with a set point, where the state has to move."""
     tracks, hidden = trace.set_point is not None, trace.plant_state is None
     v = _size(np.diff(trace.v, axis=0, prepend=0.0) if tracks else trace.v)
@@ -47,11 +63,11 @@ def of_signals(trace: Trace, suspect_below: bool) -> Iterator[Finding]:
     )
     converged = last <= _GONE * first
     verdict: Verdict = "met" if converged else "suspect"
-    below = ", and read the suspect findings below" if suspect_below else ""
-    reason = "" if converged else f"; {_hint(trace, z, end)}{below}"
-    yield Finding("Set point" if tracks else "State and input go to zero in this run", verdict, ends + reason)
+    below = ", and read the suspect findings below" if suspect_below and not known.remedy else ""
+    reason = "" if converged else f"; {_hint(trace, z, end, known)}{below}"
+    yield Finding(_subject(trace), verdict, ends + reason)
     yield _of_sizes(trace, v, input_name)
-    yield from _of_peak(trace)
+    yield from _of_peak(trace, known)
     yield from _of_bounds(trace)
 
 
@@ -65,45 +81,66 @@ def _of_sizes(trace: Trace, v: Array, input_name: str) -> Finding:
         says.append(f"largest |z| {np.max(np.abs(trace.z)):.3g} (the state, in the plant's own coordinates)")
     says.append(f"largest |{input_name}| {v.max():.3g} at k = {int(np.argmax(v))}")
     free = trace.scheme.controller.bounds is None and trace.scheme.units is not None
-    return Finding("Peak", "note", "; ".join(says) + ("; v_min and v_max keep inputs within a range" if free else ""))
+    return Finding(
+        "Peak", "note", "; ".join(says) + ("; to keep inputs within a range, set v_min and v_max" if free else "")
+    )
 
 
-def _hint(trace: Trace, z: Array, end: int) -> str:
+def _hint(trace: Trace, z: Array, end: int, known: Known) -> str:
     """Return what to change if a run did not converge."""
     units, late = trace.scheme.units, slice(-end, None)
+    if known.remedy or known.unheld:
+        return known.remedy or known.unheld
     if units is None:
         found = "it grew" if np.max(z[late]) > np.max(z[:end]) else "not converged yet"
         return f"{found}: {_CHOSEN}, or run more steps"
     if np.mean(_limited(trace)[late]) > 0.5:
         return "the input is at its limit at the end: widen v_min and v_max, or begin from a [rough] model"
     if np.any(units.noise):
-        if np.max(np.abs(trace.error[late])) <= _FLOOR * np.max(units.noise):
-            return "the remaining outputs are about as large as the noise that the scheme expects"
-    else:
-        misfit = _misfit(trace)
-        if misfit is not None and misfit > FITS:
+        times = float(np.max(np.abs(trace.error[late])) / np.max(units.noise))
+        if times <= _FLOOR:
             return (
-                "if the sensors have errors, set noise to their standard deviation; if a constant disturbance "
-                "acts, give set_point"
+                f"what remains is up to {times:.2g} times the noise that the scheme expects; up to {_FLOOR:g} times "
+                "counts as its effect, which more steps do not lower"
             )
+    asked = _asked(trace, known)
+    if asked:
+        return asked
     if np.max(z[late]) < np.max(z):
         return "not converged yet: run more steps, or lengthen the horizon where the sampling is fast"
-    return f"it grew: {LESS_PEAK}"
+    return f"it grew: {known.less_peak}"
 
 
-def _of_peak(trace: Trace) -> Iterator[Finding]:
+def _asked(trace: Trace, known: Known) -> str:
+    """Return which keys a run asks for whose signals have no linear model: those of what acts, if that is known."""
+    misfit = _misfit(trace)
+    if misfit is None or misfit <= FITS:
+        return ""
+    if known.told:
+        return "; ".join(known.asks)
+    guesses = []
+    if trace.scheme.units is not None and not np.any(trace.scheme.units.noise):
+        guesses.append("if the sensors have errors, set noise to their standard deviation")
+    if trace.set_point is None:
+        guesses.append("if a constant disturbance acts, give set_point")
+    return "; ".join(guesses)
+
+
+def _of_peak(trace: Trace, known: Known) -> Iterator[Finding]:
     """Judge the largest output against the first one that is not zero."""
     sizes = _size(trace.error)
     seen = np.flatnonzero(sizes > 0)
     if len(seen) == 0 or sizes.max() <= _PEAK * sizes[seen[0]]:
         return
     says = f"the largest is {sizes.max() / sizes[seen[0]]:.3g} times the first, {sizes[seen[0]]:.3g}"
-    if trace.scheme.units is None:
+    if known.remedy:
+        what = known.remedy
+    elif trace.scheme.units is None:
         what = (
             f"the weights are in the units of the signals and suit outputs of size one: {_CHOSEN}, or scale the outputs"
         )
     else:
-        what = f"the plant grew while it was learned: {LESS_PEAK}"
+        what = f"the plant grew while it was learned: {known.less_peak}"
     yield Finding("Peak of the outputs", "suspect", f"{says}; {what}")
 
 
@@ -128,7 +165,8 @@ def _of_bounds(trace: Trace) -> Iterator[Finding]:
     yield Finding("Input bounds", "outside", f"the input was {how} in {share}{last}")
 
 
-def of_models(trace: Trace) -> Iterator[Finding]:
+def of_models(trace: Trace, known: Known) -> Iterator[Finding]:
+    """Judge the run's models, plans and estimates."""
     scheme = trace.scheme
     for name, margins in (("lifted", trace.margin_lifted), ("augmented", trace.margin_augmented)):
         lost = trace.k[~(margins >= LOST)]
@@ -145,7 +183,7 @@ def of_models(trace: Trace) -> Iterator[Finding]:
             "Assumption 7, a linear model of the run's signals exists",
             "met" if misfit <= FITS else "suspect",
             f"the best one leaves a share of {misfit:.2g} of them unexplained"
-            + ("" if misfit <= FITS else "; stack more, append basis functions, or look for noise and loads"),
+            + ("" if misfit <= FITS else f"; {_unexplained(known)}"),
         )
     gains = np.array([_gain(done) for done in trace.steps])
     at = int(np.argmax(gains))
@@ -168,6 +206,18 @@ def of_models(trace: Trace) -> Iterator[Finding]:
     )
     if scheme.controller.adaptive:
         yield Finding("Adaptive weight", "note", f"epsilon decreased {int(trace.steps[-1].stage)} times")
+
+
+def _unexplained(known: Known) -> str:
+    """Return why a run's signals have no linear model."""
+    acting = " and ".join(known.disturbed)
+    if known.short:
+        return f"{acting} and too few stacked values explain it" if acting else known.short
+    if acting:
+        return f"{acting} of this run explain {'it' if known.linear else 'all or a part of it'}"
+    if known.told and not known.linear:
+        return "the plant is nonlinear: stack more, or append basis functions"
+    return "stack more, append basis functions, or look for noise and loads"
 
 
 def _of_s_plus(trace: Trace) -> Finding:

@@ -18,9 +18,9 @@ VERDICTS: dict[Verdict, str] = {
 }
 # Words of the paper in subjects and sentences, with their meaning.
 TERMS: dict[str, str] = {
-    "N_y": "N_y, N_v: the numbers of outputs and inputs that x(k) and u(k) stack; m: the smaller of the two",
+    "N_y": "N_y, N_v: the numbers of past values of outputs and of inputs that x(k) and u(k) stack; m: the smaller",
     "spectral radius": "spectral radius: the largest modulus of an eigenvalue of F",
-    "observability index": "observability index: how many outputs in a row determine the state",
+    "observability index": "observability index: how many values of the outputs in a row determine the state",
     "augmented pair": "lifted pair: the model of x(k) and u(k); augmented pair: the same with past inputs as states",
     "inf s+": "s+: the smallest nonzero singular value of the map from planned inputs to planned states",
     "V1": "V1: the problem that plans; its weight Gamma(x)/epsilon(k) draws the end of a plan to zero",

@@ -270,6 +270,8 @@ def _run(options: argparse.Namespace) -> int:
         complain(f"{why}; {kept}")
     elif trace:
         end = f"largest |z| {abs(trace.z[-1]).max():.3g}, largest |v| {abs(trace.v[-1]).max():.3g}"
+        if trace.set_point is not None:
+            end = f"largest |y - r| {abs(trace.error[-1]).max():.3g}, {end}"
         print(f"{rows} rows in {named(output)}; at the end {end}", file=words_of(options))
     return status
 
@@ -287,7 +289,7 @@ def _check(options: argparse.Namespace) -> int:
     if options.run:
         trace, status, why = watched(experiment)
         if trace:
-            after = diagnose_run(trace)
+            after = diagnose_run(trace, experiment.plant, **errs)
             print_findings(after, f"{experiment.name}: after {len(trace)} steps")
             found = Diagnosis((*found.findings, *after.findings))
     width = width_of(sys.stdout, CHECK_WIDTH)

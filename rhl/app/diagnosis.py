@@ -10,11 +10,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl._checks import Array, instance, real_array, reason
-from rhl.app._after import FITS, LESS_PEAK, LOST, of_models, of_signals
+from rhl.app._after import LOST, of_models, of_rest, of_signals
 from rhl.app._finding import Diagnosis, Finding, Verdict
-from rhl.closed_loop import start, step
+from rhl.app._known import (
+    LESS_PEAK,
+    Known,
+    bounds_of,
+    constant_load,
+    holding,
+    index_needed,
+    known,
+    lengthen,
+    less_peak,
+    mode_of,
+    seen_by,
+    stacked,
+    unheld,
+)
+from rhl.closed_loop import advance, start, step
 from rhl.controllability import LambdaSearch, controllability_margin
-from rhl.disturbances import Disturbance, Disturbances
+from rhl.disturbances import Disturbance, Disturbances, Saturation
 from rhl.errors import InputError
 from rhl.losses import Convex, Varying, called
 from rhl.memory import GrowingMemory
@@ -24,7 +39,6 @@ from rhl.plants.analysis import (
     detectability,
     growth_alone,
     linearise,
-    observability_index,
     spectral_radius,
     stabilizability,
 )
@@ -37,6 +51,8 @@ __all__ = ["Diagnosis", "Finding", "Verdict", "diagnose", "diagnose_run"]
 # A large peak is predicted if, without control, the plant exceeds this many times its first output during learning.
 # More than half of these plants exceed a hundred times in a run, and they are most of the plants that do.
 _PREDICTED = 30.0
+# The time of a step is the median of this many; fewer, if they take longer than this many seconds.
+_TIMED, _PATIENCE = 9, 0.5
 
 
 def diagnose(
@@ -51,8 +67,8 @@ def diagnose(
     """Check the assumptions of the paper for a plant and a scheme, before anything runs.
 
     A nonlinear plant is judged by its linearisation at zero. ``sensor``, ``actuator`` and ``load`` act between plant
-    and scheme. With the initial state z0, shape (n,), the peak of the outputs is predicted if the scheme starts
-    without a model. InputError if the plant's sizes do not fit the scheme, z0 does not fit the
+    and scheme. With the initial state z0, shape (n,), the peak of the outputs is predicted, or the finding says why it
+    cannot be. InputError if the plant's sizes do not fit the scheme, z0 does not fit the
     plant, or its functions misbehave.
 
     Examples
@@ -64,32 +80,66 @@ def diagnose(
     """
     check_plant(plant)
     instance("scheme", scheme, Scheme)
-    for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
-        if found != wanted:
-            raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
+    _check_sizes(plant, scheme)
     start = None if z0 is None else real_array("z0", z0, (plant.n,))
     return Diagnosis(
         (
-            *_of_plant(plant, scheme, start),
+            *_of_plant(plant, scheme, start, actuator, load),
             *_of_scheme(scheme),
             *_of_disturbances(scheme, sensor, actuator, load),
         )
     )
 
 
-def diagnose_run(trace: Trace) -> Diagnosis:
+def diagnose_run(
+    trace: Trace,
+    plant: Plant | None = None,
+    *,
+    sensor: Disturbances | None = None,
+    actuator: Disturbances | None = None,
+    load: Disturbances | None = None,
+) -> Diagnosis:
     """Report whether a run converged, and which assumption is suspect if it did not.
 
-    The trace may be that of a run that stopped early, its error's ``trace``. InputError if the trace is a batch.
+    Given the plant and the disturbances of the run, the advice follows from them too: no setting helps if an input does
+    not reach an unstable mode. The trace may be that of a run that stopped early, its error's ``trace``. InputError if
+    the trace is a batch, or the plant does not fit its scheme.
+
+    Examples
+    --------
+    >>> from rhl.scheme import default_scheme
+    >>> from rhl.simulation import simulate
+    >>> plant = LinearPlant([[1.1, 0.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 1.0]])
+    >>> run = simulate(default_scheme(1, 1, 2), plant, [1.0, 1.0], steps=40)
+    >>> print(diagnose_run(run, plant).findings[0].says.rpartition("; ")[2])
+    the input does not reach the mode 1.1, which does not decay, so no setting can help: only other actuators can
     """
     instance("trace", trace, Trace)
     if trace.y.ndim != 2:
         raise InputError(f"the trace must be of one run, got a batch of shape {trace.y.shape[1:-1]}; take one member")
-    models = tuple(of_models(trace))
-    return Diagnosis((*of_signals(trace, any(finding.verdict == "suspect" for finding in models)), *models))
+    told = Known()
+    if plant is not None:
+        check_plant(plant)
+        _check_sizes(plant, trace.scheme)
+        acting = {"sensor": sensor, "actuator": actuator, "load": load}
+        told = known(plant, trace.scheme, len(trace), **acting, applied_known=trace.applied_known)
+    rest = of_rest(trace)
+    if rest is not None:
+        return Diagnosis((rest,))
+    models = tuple(of_models(trace, told))
+    below = any(finding.verdict == "suspect" for finding in models)
+    return Diagnosis((*of_signals(trace, below, told), *models))
 
 
-def _of_plant(plant: Plant, scheme: Scheme, z0: Array | None) -> Iterator[Finding]:
+def _check_sizes(plant: Plant, scheme: Scheme) -> None:
+    for name, found, wanted in (("outputs", plant.p, scheme.p), ("inputs", plant.q, scheme.q)):
+        if found != wanted:
+            raise InputError(f"the plant must have {wanted} {name}, for which the initial model is made, got {found}")
+
+
+def _of_plant(
+    plant: Plant, scheme: Scheme, z0: Array | None, actuator: Disturbances | None, load: Disturbances | None
+) -> Iterator[Finding]:
     if isinstance(plant, LinearPlant):
         linear, name = plant, f"linear of order {plant.n}"
     else:
@@ -103,67 +153,84 @@ def _of_plant(plant: Plant, scheme: Scheme, z0: Array | None) -> Iterator[Findin
         "Plant", "note", f"{name}; q = {plant.q}, p = {plant.p}, spectral radius {spectral_radius(linear.F):.4g}"
     )
     if scheme.set_point is not None:
-        yield _of_set_point(linear, scheme.set_point.at(0, plant.p))
-    for subject, modes, what, matrix in (
-        ("stabilizable", stabilizability(linear.F, linear.G), "the input does not reach", "[lambda I - F, G]"),
-        ("detectable", detectability(linear.F, linear.H), "the outputs do not see", "[lambda I - F; H]"),
-    ):
-        yield _of_modes(f"Assumption 1, {subject}", modes, what, matrix)
-    yield _of_lengths(linear, scheme)
-    if z0 is not None and scheme.set_point is None and scheme.units is not None and scheme.units.model_in_sizes:
-        yield from _of_peak(linear, scheme, z0)
-    n, mp = linear.n, scheme.lifting.outputs * scheme.p
-    if mp > n:
+        yield _of_set_point(linear, scheme.set_point.at(0, plant.p), bounds_of(scheme, actuator), load)
+    basic = [
+        _of_modes(f"Assumption 1, {subject}", modes, what, matrix)
+        for subject, modes, what, matrix in (
+            ("stabilizable", stabilizability(linear.F, linear.G), "the input does not reach", "[lambda I - F, G]"),
+            ("detectable", detectability(linear.F, linear.H), "the outputs do not see", "[lambda I - F; H]"),
+        )
+    ]
+    basic.append(_of_lengths(linear, scheme))
+    yield from basic
+    if z0 is not None:
+        lower = less_peak(linear, scheme) if linear is plant else LESS_PEAK
+        yield _of_peak(
+            linear, scheme, z0, lower, [finding.subject for finding in basic if finding.verdict == "violated"]
+        )
+    n, values = seen_by(linear, scheme).n, scheme.lifting.outputs
+    if values * scheme.p > n:
         yield Finding(
             "Augmented pair",
             "note",
-            f"x(k) stacks {mp} outputs of a plant of order {n}: a model that is exact on the data then has no "
-            "controllable augmented pair, so its margin is expected to shrink as the estimate improves",
+            f"x(k) has {values * scheme.p} numbers, N_y = {values} values of {_count(scheme.p, 'output')}, and the "
+            f"plant{'' if scheme.set_point is None else ' with the last input as a state'} has order {n}: a model that "
+            "is exact on the data then has no controllable augmented pair, so its margin is expected to shrink as the "
+            "estimate improves",
         )
 
 
-def _of_set_point(plant: LinearPlant, r: Array) -> Finding:
-    subject = "Set point, an equilibrium"
-    held = np.block([[np.eye(plant.n) - plant.F, -plant.G], [plant.H, np.zeros((plant.p, plant.q))]])
-    wanted = np.concatenate([np.zeros(plant.n), r])
-    sizes = np.max(np.abs(held), axis=1, keepdims=True)
-    held, wanted = held / np.where(sizes > 0, sizes, 1.0), wanted / np.where(sizes > 0, sizes, 1.0)[:, 0]
-    found = np.linalg.lstsq(held, wanted)[0]
-    if np.max(np.abs(held @ found - wanted)) <= FITS * np.max(np.abs(wanted)):
-        inputs = ", ".join(f"{value:.3g}" for value in found[plant.n :])
-        return Finding(subject, "met", f"the inputs {inputs} hold the outputs at it")
-    return Finding(
-        subject,
-        "violated",
-        "no constant input holds the outputs at it: there are more outputs than inputs that move them at rest; choose "
-        "another set point, or leave outputs out",
-    )
+def _of_set_point(plant: LinearPlant, r: Array, bounds: Saturation | None, load: Disturbances | None) -> Finding:
+    subject, held = "Set point, an equilibrium", holding(plant, r, bounds, load)
+    if held is None or held.exceeds:
+        return Finding(subject, "violated", unheld(held))
+    inputs = ", ".join(f"{value:.3g}" for value in held.inputs)
+    under = " under the load" if np.any(constant_load(load, plant.q)) else ""
+    return Finding(subject, "met", f"the inputs {inputs} hold the outputs at it{under}")
 
 
-def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array) -> Iterator[Finding]:
+def _of_peak(plant: LinearPlant, scheme: Scheme, z0: Array, lower: str, violated: list[str]) -> Finding:
     """Predict the peak from the growth of the plant without control while the scheme learns it.
 
     Until m + n + m q steps have passed, the data do not distinguish the n + m q directions of past outputs and inputs.
     On the ensembles of the book's page on symptoms this is within a factor of two of the peak in most runs.
     """
-    m = min(scheme.lifting.outputs, scheme.lifting.inputs)
+    subject, m = "Peak to expect", stacked(scheme)
+    why = _unpredicted(plant, scheme, z0, violated)
+    if why:
+        return Finding(subject, "note", f"not predicted, since {why}")
     steps = m + plant.n + m * plant.q
-    if not np.any(plant.H @ z0):
-        return
     largest = float(growth_alone(plant, z0, steps))
-    says = f"without control, the outputs grow {largest:.3g} times in the {steps} steps that learning takes"
+    says = (
+        f"without control, the outputs grow {largest:.3g} times in the {steps} steps that learning takes; the growth "
+        "that the inputs cause is not counted, so the peak may be higher"
+    )
     if largest > _PREDICTED:
-        says += f"; {LESS_PEAK}, or sample faster"
-    else:
-        says += "; most peaks are within a factor of three of this"
-    yield Finding("Peak to expect", "suspect" if largest > _PREDICTED else "note", says)
+        return Finding(subject, "suspect", f"{says}; {lower}, or sample faster")
+    return Finding(subject, "note", says)
+
+
+def _unpredicted(plant: LinearPlant, scheme: Scheme, z0: Array, violated: list[str]) -> str:
+    """Return why the peak cannot be predicted; empty if it can be."""
+    if violated:
+        return f"{' and '.join(violated)} {'is' if len(violated) == 1 else 'are'} violated"
+    if scheme.set_point is not None:
+        return "with a set point the outputs have to move"
+    if scheme.units is None:
+        return "the scheme has no running units, which the key order chooses"
+    if not scheme.units.model_in_sizes:
+        return "the scheme begins from a given model, not without one"
+    if not np.any(z0):
+        return "the run begins at rest"
+    if not np.any(plant.H @ z0):
+        return "a peak is relative to the first outputs, and these are zero"
+    return ""
 
 
 def _of_modes(subject: str, modes: Modes, what: str, matrix: str) -> Finding:
     if modes.worst is None:
         return Finding(subject, "met", "every mode decays without control")
-    value, worst = modes.worst
-    mode = f"{value.real:.4g}" if abs(value.imag) < 1e-12 else f"{value.real:.4g}{value.imag:+.4g}j"
+    worst, mode = modes.worst[1], mode_of(modes)
     if modes.holds:
         return Finding(subject, "met", f"smallest margin {worst:.3g}, at the mode {mode}")
     return Finding(
@@ -174,18 +241,33 @@ def _of_modes(subject: str, modes: Modes, what: str, matrix: str) -> Finding:
 
 
 def _of_lengths(plant: LinearPlant, scheme: Scheme) -> Finding:
-    subject, lifting = "Assumption 1, m >= n", scheme.lifting
-    m, index = min(lifting.outputs, lifting.inputs), observability_index(plant.F, plant.H)
-    lengths = f"N_y = {lifting.outputs} outputs and N_v = {lifting.inputs} inputs are stacked, n = {plant.n}"
-    if m >= plant.n:
+    subject, lifting, tracks = "Assumption 1, m >= n", scheme.lifting, scheme.set_point is not None
+    m, index = stacked(scheme), index_needed(plant, scheme)
+    lengths = (
+        f"the last N_y = {_count(lifting.outputs, 'value')} of {_vector('output', plant.p)} and "
+        f"N_v = {lifting.inputs} of {_vector('input', plant.q)} are stacked, n = {plant.n}"
+    )
+    if tracks:
+        more = "one more value may be needed" if scheme.units is None else "order stacks one more value"
+        lengths += f"; with a set point {more}, since the last input is then a state of the plant, too"
+    if m >= plant.n + tracks:  # the index of the plant with its last input is at most one higher
         return Finding(subject, "met", lengths)
     if m >= index:
         return Finding(subject, "met", f"{lengths}; m reaches the observability index {index}, which is enough")
     return Finding(
         subject,
         "violated",
-        f"{lengths}, and the observability index is {index}: with fewer, a linear model of the signals need not exist",
+        f"{lengths}; the observability index is {index}: with fewer, a linear model of the signals need not exist; "
+        f"{lengthen(plant, scheme)}",
     )
+
+
+def _vector(name: str, size: int) -> str:
+    return f"the {name}" if size == 1 else f"the {name} vector"
+
+
+def _count(number: int, name: str) -> str:
+    return f"{number} {name}{'' if number == 1 else 's'}"
 
 
 def _of_scheme(scheme: Scheme) -> Iterator[Finding]:
@@ -266,15 +348,20 @@ def _known(holds: bool | None) -> tuple[Verdict, str]:
 
 
 def _pace(scheme: Scheme) -> str:
-    # The second of two steps: the first may load code.
     memory, y = start(scheme), np.ones(scheme.p)
-    try:
-        step(scheme, memory, y)
+    took: list[float] = []
+    while len(took) <= _TIMED and (len(took) < 3 or sum(took) < _PATIENCE):
         began = perf_counter()
-        step(scheme, memory, y)
-    except ArithmeticError as error:
-        return f"a step from outputs of 1 fails: {reason(error)}"
-    return f"about {1e3 * (perf_counter() - began):.1f} ms a step here"
+        try:
+            done = step(scheme, memory, y)
+            took.append(perf_counter() - began)
+            memory = advance(scheme, done)
+        except ArithmeticError as error:
+            if not took:
+                return f"a step from outputs of 1 fails: {reason(error)}"
+            break
+    # The first step may load code, and a machine with other work delays some.
+    return f"about {1e3 * float(np.median(took[1:] or took)):.1f} ms a step here"
 
 
 def _of_disturbances(

@@ -297,6 +297,49 @@ def test_check_says_how_a_run_went_that_stopped(config, tmp_path, capsys):
     assert "left the range of floating-point numbers" in streams.err
 
 
+SHORT = """\
+name = "short"
+steps = 80
+order = 2
+
+[plant]
+kind = "transfer-function"
+num = [0.5]
+den = [1, -1.1, 0, 0, 0, 0]
+z0 = [1, 1, 1, 1, 1]
+"""
+
+
+def test_the_advice_after_a_run_follows_from_the_file(tmp_path, capsys):
+    path = tmp_path / "short.toml"
+    for order, status in ((2, _status.MISSED), (5, 0)):
+        path.write_text(SHORT.replace("order = 2", f"order = {order}"), encoding="utf-8")
+        assert cli.main(["check", str(path), "--run"]) == status
+        after = " ".join(capsys.readouterr().out.partition("after 80 steps")[2].replace("│", " ").split())
+        assert ("raise order to 5" in after) == (order == 2)
+        assert "lower order" not in after
+
+
+def test_the_disturbances_of_the_file_explain_its_run(tmp_path, capsys):
+    path = tmp_path / "noisy.toml"
+    path.write_text(f"{SHORT.replace('order = 2', 'order = 5')}\n[simulation]\nnoise = 0.1\nload = 1.0\n", "utf-8")
+    assert cli.main(["check", str(path), "--run"]) == _status.MISSED
+    cells = [line.split("│")[3].strip() for line in capsys.readouterr().out.splitlines() if line.count("│") == 4]
+    assert "the sensor errors and the load of this run explain it" in " ".join(cells)
+
+
+def test_a_run_with_a_set_point_reports_the_distance_from_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    ends = []
+    for line in ("set_point = 1.0\n", ""):
+        Path("goal.toml").write_text(line + SHORT.replace("order = 2", "order = 5"), encoding="utf-8")
+        assert cli.main(["run", "goal.toml", "--output", f"goal{len(ends)}.csv"]) == 0
+        ends.append(capsys.readouterr().out.partition("at the end ")[2])
+    distance = abs(float(rows_of(Path("goal0.csv"))[-1]["y1"]) - 1.0)
+    assert ends[0].startswith(f"largest |y - r| {distance:.3g}, largest |z| ")
+    assert ends[1].startswith("largest |z| ")
+
+
 def test_a_broken_assumption_is_one_line_of_warning(config, tmp_path, capsys):
     path = tmp_path / "constant.toml"
     path.write_text(LINEAR.replace("eps_rate = 100.0", 'eps = "constant"\neps_value = 0.1'), encoding="utf-8")
