@@ -53,6 +53,8 @@ NO_CLAIM = (
 )
 # A Dask cluster cannot be started in a process that was forked.
 NOT_FORKED = ("tests/study/test_backends.py",)
+# Tests that read the library's text, or look at every module, without executing its lines.
+OF_ALL = ("tests/test_sources.py", "tests/test_imports.py", "tests/test_public_names.py")
 SECONDS = 100  # of tests for one mutant, in the order of `tests_of`
 NOTICED_BY = "noticed-by"  # the file to which the process of a mutant writes the test or claim that failed
 MEMORY = 6 * 2**30  # bytes of address space beyond which a mutant counts as noticed
@@ -148,7 +150,9 @@ def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[st
     left = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
     # A test without lines may run the library in another process; those of the module's own file are tried.
     found = [
-        test for test, record in left.items() if executes(record["lines"]) or (name in test and not record["lines"])
+        test
+        for test, record in left.items()
+        if executes(record["lines"]) or (not record["lines"] and (name in test or test.startswith(OF_ALL)))
     ]
     if len(found) < 5:  # few, or a line that runs while the module is imported, for one test or for none
         found += [test for test, record in left.items() if mutant.file in record["lines"] and test not in found]
