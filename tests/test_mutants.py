@@ -149,26 +149,31 @@ def test_the_table_counts():
     assert mutants.table(rows).splitlines()[-1].split() == ["all", "5", "3", "1", "1", "75.0%"]
 
 
-def test_tests_of_a_line_come_from_what_they_execute():
+def test_tests_come_from_likely_to_unlikely():
+    """Those that execute the line, those that execute the module or stand in its file, those of its folder."""
     tests = {
-        "tests/test_a.py::slow": {"seconds": 2.0, "lines": {"rhl/a.py": [3]}},
-        "tests/test_b.py::fast": {"seconds": 0.1, "lines": {"rhl/a.py": [3]}},
-        "tests/test_b.py::elsewhere": {"seconds": 0.1, "lines": {"rhl/a.py": [4]}},
+        "tests/app/test_a.py::slow": {"seconds": 2.0, "lines": {"rhl/app/a.py": [3]}},
+        "tests/app/test_b.py::fast": {"seconds": 0.1, "lines": {"rhl/app/a.py": [3]}},
+        "tests/app/test_b.py::other_line": {"seconds": 0.1, "lines": {"rhl/app/a.py": [4]}},
+        "tests/app/test_a.py::in_another_process": {"seconds": 0.5, "lines": {}},
+        "tests/test_sources.py::reads_the_text": {"seconds": 0.6, "lines": {}},
+        "tests/app/test_c.py::uses_what_another_imported": {"seconds": 0.1, "lines": {"rhl/b.py": [1]}},
+        "notebooks/01-a.ipynb": {"seconds": 0.1, "lines": {"rhl/app/a.py": [3]}},
+        "notebooks/02-b.ipynb": {"seconds": 0.2, "lines": {"rhl/app/a.py": [3]}},
     }
-    mutant = Mutant("rhl/a.py", "f", 3, "", "", "")
-    found = mutants.tests_of(mutant, tests, "")
-    assert found == ["tests/test_a.py::slow", "tests/test_b.py::fast", "tests/test_b.py::elsewhere"]
-    assert mutants.tests_of(mutant, tests | {f"tests/test_c.py::{i}": tests[found[1]] for i in range(4)}, "") == [
-        "tests/test_a.py::slow",
-        "tests/test_b.py::fast",
-        *(f"tests/test_c.py::{i}" for i in range(4)),
-    ]
-    assert mutants.tests_of(mutant, tests, "tests/test_b.py::fast")[0] == "tests/test_b.py::fast"
-    in_another_process = {name: {"seconds": 0.5, "lines": {}} for name in ("tests/test_a.py::x", "tests/test_c.py::x")}
-    assert mutants.tests_of(mutant, tests | in_another_process, "")[:2] == ["tests/test_a.py::x", found[0]]
-    assert "tests/test_c.py::x" not in mutants.tests_of(mutant, tests | in_another_process, "")
-    imported = Mutant("rhl/a.py", "", 1, "", "", "")
-    assert len(mutants.tests_of(imported, tests, "")) == 3
+    unlikely = {
+        "tests/study/test_d.py::elsewhere": {"seconds": 0.1, "lines": {"rhl/b.py": [1]}},
+        "tests/test_d.py::in_another_process": {"seconds": 0.1, "lines": {}},
+    }
+    mutant = Mutant("rhl/app/a.py", "f", 3, "", "", "")
+    found = mutants.tests_of(mutant, unlikely | tests, "")
+    assert found == list(tests)[:-1]
+    assert mutants.tests_of(mutant, tests, "tests/test_sources.py::reads_the_text")[0] == found[4]
+    long = {f"tests/app/test_e.py::{i}": {"seconds": 40.0, "lines": {"rhl/app/a.py": [3]}} for i in range(4)}
+    assert len([test for test in mutants.tests_of(mutant, long, "") if test in long]) == 2
+    compiled = Mutant("rhl/kernels/loops.py", "f", 3, "", "", "")
+    caller = {"tests/test_e.py::calls": {"seconds": 1.0, "lines": {"rhl/_engine.py": [9]}}}
+    assert mutants.tests_of(compiled, unlikely | caller, "") == list(caller)
 
 
 def test_listed_mutants_are_still_places_of_the_library():

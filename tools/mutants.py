@@ -140,23 +140,27 @@ def covered_by_notebooks(tree: Path, folder: Path) -> dict[str, dict]:
 
 
 def tests_of(mutant: Mutant, tests: dict[str, dict], noticed_by: str) -> list[str]:
-    """The tests that can notice a mutant: the one that did before, those of its module, others, from short to long."""
+    """The tests that may notice a mutant: the one that did before, then from likely to unlikely, from short to long."""
     callers = next((files for start, files in CALLERS.items() if mutant.file.startswith(start)), ())
-    name = f"test_{Path(mutant.file).stem.lstrip('_')}.py"
+    own = f"test_{Path(mutant.file).stem.lstrip('_')}.py"
+    folder = str(Path("tests") / Path(mutant.file).parent.relative_to("rhl"))
 
-    def executes(lines: dict[str, list[int]]) -> bool:
-        return mutant.line in lines.get(mutant.file, ()) or any(file in lines for file in callers)
+    def likely(test: str, record: dict[str, Any]) -> int | None:
+        """How likely a test is to notice, from 0; None if it cannot. Every line of a test may have been run before it.
+
+        A test without lines may run the library in another process. One of the same folder may use what another one
+        has computed or imported.
+        """
+        lines = record["lines"]
+        if mutant.line in lines.get(mutant.file, ()) or any(file in lines for file in callers):
+            return 0 if own in test else 1
+        if own in test or mutant.file in lines or (not lines and test.startswith(OF_ALL)):
+            return 2
+        return 3 if test.startswith(f"{folder}/test_") else None
 
     left = {test: record for test, record in tests.items() if not test.startswith(NOT_FORKED)}
-    # A test without lines may run the library in another process; those of the module's own file are tried.
-    found = [
-        test
-        for test, record in left.items()
-        if executes(record["lines"]) or (not record["lines"] and (name in test or test.startswith(OF_ALL)))
-    ]
-    if len(found) < 5:  # few, or a line that runs while the module is imported, for one test or for none
-        found += [test for test, record in left.items() if mutant.file in record["lines"] and test not in found]
-    ranked = sorted(found, key=lambda test: (test != noticed_by, name not in test, tests[test]["seconds"]))
+    ranks = {test: rank for test, record in left.items() if (rank := likely(test, record)) is not None}
+    ranked = sorted(ranks, key=lambda test: (test != noticed_by, ranks[test], tests[test]["seconds"]))
     total = 0.0
     kept: list[str] = []
     for test in (test for test in ranked if not test.startswith("notebooks/")):
