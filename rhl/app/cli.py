@@ -368,15 +368,28 @@ def _paper_figures() -> ModuleType:
 
 
 def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
-    """Write the rows and the figure; if one of them cannot be written, the other is removed too."""
+    """Write the rows and the figure; if one of them cannot be written, the other is removed too.
+
+    If the figure cannot be drawn, the rows are written all the same, since the run may have taken long.
+    """
+    from rhl._checks import reason
     from rhl._files import table_text
 
+    table = table_text(trace.columns()) if options.output else ""
     results: list[tuple[Path, str | bytes]] = []
-    if options.plot:
-        results.append((options.plot, _figures().render(draw, options.plot)))
+    try:
+        if options.plot:
+            results.append((options.plot, _figures().render(draw, options.plot)))
+    except BaseException as error:
+        if options.output:
+            deliver(options.output, table, options.force)
+        if isinstance(error, ValueError | ArithmeticError):
+            kept = f"the rows are in {named(options.output)}" if options.output else "leave out --plot"
+            raise InputError(f"--plot must be of a run that can be drawn, got {reason(error)}; {kept}") from error
+        raise
     if options.output:
         # Printed rows cannot be removed again, so they come last.
-        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table_text(trace.columns())))
+        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table))
     made: list[Path] = []
     for path, content in results:
         fresh = path is not STDOUT and not path.exists()
