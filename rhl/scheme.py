@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rhl._checks import Array, describe, instance, integer, weight_matrix
+from rhl._checks import Array, describe, instance, integer, locked, weight_matrix
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllability_margin
 from rhl.controller import Controller
 from rhl.disturbances import Saturation
@@ -161,7 +161,9 @@ class Scheme:
         """Upper triangular factors of Q, R and QN, on the augmented state."""
         controller, n = self.controller, self.lifting.augment(self.initial_model).n
         sizes = {"Q": n, "R": self.q, "QN": n}
-        Q, R, QN = (factor(weight_matrix(name, getattr(controller, name), size)) for name, size in sizes.items())
+        Q, R, QN = (
+            locked(factor(weight_matrix(name, getattr(controller, name), size))) for name, size in sizes.items()
+        )
         return Q, R, QN
 
     @property

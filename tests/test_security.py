@@ -516,8 +516,26 @@ def test_a_file_is_searched_without_going_back(tmp_path, text):
         read_toml(path)
 
 
+def test_a_plant_whose_states_would_fill_the_memory():
+    """Of 1500 states and 100 000 steps the table alone took 11 GB."""
+    data = tomllib.loads(ORDER)
+    n = 1500
+    data["plant"] |= {"F": np.eye(n).tolist(), "G": [[1.0]] * n, "H": [[1.0] * n], "z0": [1.0] * n}
+    for steps, fits in ((16_600, True), (16_601, False), (100_000, False)):
+        data["steps"] = steps
+        if fits:
+            assert parse(data).experiment().steps == steps
+            continue
+        with pytest.raises(InputError) as caught:
+            parse(data).experiment()
+        assert str(caught.value) == (
+            "steps must be such that the entries of the table, each with its text as ten numbers, are at most "
+            f"250000000 numbers, got {steps} and {15060 * steps} numbers; make it smaller, or stack less"
+        )
+
+
 def test_a_window_that_would_fill_the_memory():
     scheme = window_scheme(1, 1, 2)
-    _limits.fits(scheme, 10)
+    _limits.fits(scheme, 10, 2)
     with pytest.raises(InputError, match=r"^estimator\.window must be such that the transitions of the window"):
-        _limits.fits(replace(scheme, estimator=replace(scheme.estimator, window=10**9)), 10)
+        _limits.fits(replace(scheme, estimator=replace(scheme.estimator, window=10**9)), 10, 2)

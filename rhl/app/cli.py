@@ -54,6 +54,18 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see '{self.prog} --help'")
 
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; unlike argparse, which says nothing if a full disk takes none of it, raise OSError."""
+        print(self.format_help(), end="", file=file)
+
+
+class _Version(argparse.Action):
+    """Prints the version, with the same errors."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        print(f"rhl {__version__}")
+        parser.exit()
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
@@ -110,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rhl", allow_abbrev=False, description="Receding horizon learning, the companion of arXiv 2010.05891."
     )
-    parser.add_argument("--version", action="version", version=f"rhl {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     rows = "write the run's rows to this file; - prints them"
@@ -311,8 +323,9 @@ def _new(options: argparse.Namespace) -> int:
     _check_targets(options)
     text = template(stem) if options.source is None else published(stem, options.source)
     deliver(options.output, text, options.force)
-    call = f"rhl run {quote(str(options.output))} --output {quote(f'{name}.csv')} --plot {quote(f'{name}.svg')}"
-    print(printable(f"{options.output} is ready to run: {call}"))
+    here = "./" if name.startswith("-") else ""  # the printed command would take the name for an option
+    file, table, figure = (quote(f"{here}{path}") for path in (options.output, f"{name}.csv", f"{name}.svg"))
+    print(printable(f"{here}{options.output} is ready to run: rhl run {file} --output {table} --plot {figure}"))
     return OK
 
 
