@@ -23,6 +23,9 @@ from rhl.schedules import PowerDecay
 from rhl.tracking import SetPoint
 from rhl.units import RunningUnits
 
+# The most outputs and inputs that a ready scheme stacks; its matrices then have 0.2 GB each.
+_STACKED = 5_000
+
 
 @dataclass(frozen=True, eq=False)
 class Scheme:
@@ -188,6 +191,15 @@ class Scheme:
         return self.initial_model.q // self.lifting.inputs
 
 
+def _check_sizes(p: int, q: int, order: int) -> None:
+    for name, value in (("p", p), ("q", q), ("order", order)):
+        integer(name, value, 1)
+    if (p + q) * order > _STACKED:
+        raise InputError(
+            f"p, q and order must stack at most {_STACKED} outputs and inputs, got {(p + q) * order}; give smaller ones"
+        )
+
+
 def _check_bounds(bounds: Saturation, q: int) -> None:
     instance("bounds", bounds, Saturation)
     if not {np.shape(bounds.low), np.shape(bounds.high)} <= {(), (q,)}:
@@ -213,8 +225,7 @@ def window_scheme(p: int, q: int, order: int) -> Scheme:
     have units: if inputs and outputs differ in size, replace R first. The generator's weight, 0.01, is added to squares
     of the outputs and assumes that these are of size one.
     """
-    for name, value in (("p", p), ("q", q), ("order", order)):
-        integer(name, value, 1)
+    _check_sizes(p, q, order)
     n = p * order
     return Scheme(
         lifting=DelayLifting(order, order),
@@ -268,8 +279,7 @@ def default_scheme(
     On two sets of 204 and 186 plants with errors of 1 % of the first outputs, the geometric mean of the costs is 0.57
     and 0.98 times that of the scheme without ``noise``; with errors of 5 % it is 0.45 and 0.90 times.
     """
-    for name, value in (("p", p), ("q", q), ("order", order)):
-        integer(name, value, 1)
+    _check_sizes(p, q, order)
     stacked = order if set_point is None else order + 1
     return scheme_for(DelayLifting(stacked, stacked), p, q, inputs, noise, bounds=bounds, set_point=set_point)
 
