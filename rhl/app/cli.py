@@ -7,7 +7,7 @@ import json
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -37,9 +37,6 @@ from rhl.errors import AssumptionWarning, InputError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from matplotlib.figure import Figure
-
-    from rhl.trace import Trace
 
 # Packages that some commands need, and the extra that brings them.
 _EXTRAS = {
@@ -242,6 +239,7 @@ def _cases(text: str) -> int:
 def _reproduce(options: argparse.Namespace) -> int:
     from rich.table import Table
 
+    from rhl.app._run import write
     from rhl.paper import published
 
     _check_targets(options)
@@ -256,14 +254,14 @@ def _reproduce(options: argparse.Namespace) -> int:
     for row in rows:
         tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
         table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
-    _write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
+    write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
     print_table(table, 110, words_of(options))
     return MISSED if any(row.verdict == "missed" for row in rows) else OK
 
 
 def _run(options: argparse.Namespace) -> int:
     from rhl._files import header
-    from rhl.app._run import watched
+    from rhl.app._run import watched, write
     from rhl.app.config import load
 
     experiment = load(options.config).experiment(allow_python=options.allow_python)
@@ -272,7 +270,7 @@ def _run(options: argparse.Namespace) -> int:
     rows, output = len(trace or ()), options.output
     kept = f"the {rows} rows before it are in {named(output)}"
     if trace:
-        _write(options, trace, lambda: _figures().run(trace, experiment.name))
+        write(options, trace, lambda: _figures().run(trace, experiment.name))
     elif output is not STDOUT and output.is_file():
         kept = f"there is no row before it, and {named(output)} is unchanged"  # with --force
     else:
@@ -378,42 +376,6 @@ def _paper_figures() -> ModuleType:
     from rhl.paper import figures
 
     return figures
-
-
-def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
-    """Write the rows and the figure; if one of them cannot be written, the other is removed too.
-
-    If the figure cannot be drawn, the rows are written all the same, since the run may have taken long.
-    """
-    from rhl._checks import reason
-    from rhl._files import table_text
-
-    table = table_text(trace.columns()) if options.output else ""
-    results: list[tuple[Path, str | bytes]] = []
-    try:
-        if options.plot:
-            results.append((options.plot, _figures().render(draw, options.plot)))
-    except BaseException as error:
-        if options.output:
-            deliver(options.output, table, options.force)
-        if isinstance(error, ValueError | ArithmeticError):
-            kept = f"the rows are in {named(options.output)}" if options.output else "leave out --plot"
-            raise InputError(f"--plot must be of a run that can be drawn, got {reason(error)}; {kept}") from error
-        raise
-    if options.output:
-        # Printed rows cannot be removed again, so they come last.
-        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table))
-    made: list[Path] = []
-    for path, content in results:
-        fresh = path is not STDOUT and not path.exists()
-        try:
-            deliver(path, content, options.force)
-        except InputError:
-            for file in made:
-                file.unlink(missing_ok=True)
-            raise
-        if fresh:
-            made.append(path.resolve())
 
 
 def _check_targets(options: argparse.Namespace) -> None:
