@@ -158,8 +158,8 @@ class _Rows:
         # Too many bytes for the memory, or for any address.
         except (MemoryError, ValueError, OverflowError) as error:
             raise InputError(
-                f"steps must be such that the signals of all steps fit into memory, got {steps} steps of {members} "
-                f"runs ({reason(error)}); run fewer steps"
+                f"steps must be such that the signals of all steps fit into memory, got {steps} for a batch "
+                f"of {members} ({reason(error)}); run fewer steps"
             ) from error
 
     @property

@@ -470,7 +470,7 @@ def test_an_actuator_cannot_write_into_what_was_computed():
 @pytest.mark.parametrize("steps", [10**18, 2**62, 2**63, 10**30])
 def test_more_steps_than_memory_are_an_input_error(steps, record):
     example = linear_example()
-    wanted = rf"^steps must be such that the signals of all steps fit into memory, got {steps} steps of 1 runs \(\w+: "
+    wanted = rf"^steps must be such that the signals of all steps fit into memory, got {steps} for a batch of 1 \(\w+: "
     with pytest.raises(InputError, match=wanted):
         simulate(example.scheme, example.plant, example.z0, steps, record=record)
     with pytest.raises(InputError, match=wanted):
