@@ -71,6 +71,13 @@ def read_only(array: ArrayLike) -> Array:
     return copy
 
 
+def locked(array: np.ndarray) -> Any:
+    """Return a read-only view, without a copy: a result that is kept must not change in a caller's hands."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
 def square(name: str, value: ArrayLike) -> Array:
     """Check a square matrix, shape (..., n, n)."""
     array = real_array(name, value, (None, None))

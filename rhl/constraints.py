@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rhl._checks import Array, describe, instance, integer, numbers, real_array
+from rhl._checks import Array, describe, instance, integer, locked, numbers, real_array
 from rhl.errors import InputError
 from rhl.model import SignalModel
 
@@ -107,7 +107,7 @@ class LinearConstraints:
     @cached_property
     def null_space(self) -> Array:
         """An orthonormal basis of the directions in which theta may move, shape (n (n + q), freedom)."""
-        return _null_space(self.M)
+        return locked(_null_space(self.M))
 
     @cached_property
     def _within_rows(self) -> dict[int, list[Array] | None]:

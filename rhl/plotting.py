@@ -151,23 +151,32 @@ def run(trace: Trace, title: str = "") -> Figure:
         axes[0].plot(trace.k, predicted, "x", color=f"C{i}", label=rf"$\hat y_{i + 1}$", ms=3.5)
     for i in range(trace.v.shape[1]):
         held(axes[1], trace.v[:, i], f"$v_{i + 1}$", color=f"C{i}")
-    held(axes[2], np.where(trace.weight > 0, trace.weight, np.nan), r"$\Gamma(X)/\epsilon$")
-    held(axes[3], np.where(trace.margin_lifted > 0, trace.margin_lifted, np.nan), "lifted pair")
-    held(axes[3], np.where(trace.margin_augmented > 0, trace.margin_augmented, np.nan), "augmented pair")
+    (weight,), (lifted, augmented) = _levels(trace.weight), _levels(trace.margin_lifted, trace.margin_augmented)
+    held(axes[2], weight, r"$\Gamma(X)/\epsilon$")
+    held(axes[3], lifted, "lifted pair")
+    held(axes[3], augmented, "augmented pair")
     for ax, label in zip(axes, ("output", "input", "terminal weight", "controllability margin"), strict=True):
         ax.set_ylabel(label)
         ax.legend(ncols=3)
     for ax in axes[2:]:
-        ax.set_yscale("log")
-        # A weight that goes to zero with the state would leave the axis to numbers that are zero to the eye.
         drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
         top = np.nanmax(drawn, initial=0.0)
-        if top > 0 and np.nanmin(drawn) < _DECADES * top:
-            ax.set_ylim(bottom=_DECADES * top)
+        if top > 0:  # a logarithmic axis needs a positive number
+            ax.set_yscale("log")
+            # A weight that goes to zero with the state would leave the axis to numbers that are zero to the eye.
+            if np.nanmin(drawn) < _DECADES * top:
+                ax.set_ylim(bottom=_DECADES * top)
     if title:
         # The title is plain text, not a formula, even if it contains a dollar sign.
         axes[0].set_title(title[:60].replace("$", r"\$"), fontsize=10, parse_math=False)
     return figure
+
+
+def _levels(*signals: Array) -> list[Array]:
+    """Return signals with gaps for zeros, for a logarithmic axis; unchanged if all are zero, for a linear one."""
+    if not any(np.any(signal > 0) for signal in signals):
+        return list(signals)
+    return [np.where(signal > 0, signal, np.nan) for signal in signals]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rhl._checks import Array, describe, instance, integer, weight_matrix
+from rhl._checks import Array, describe, instance, integer, locked, weight_matrix
 from rhl.controllability import ConstantMixing, LambdaSearch, Mixing, controllability_margin
 from rhl.controller import Controller
 from rhl.disturbances import Saturation
@@ -22,6 +22,9 @@ from rhl.model import SignalModel
 from rhl.schedules import PowerDecay
 from rhl.tracking import SetPoint
 from rhl.units import RunningUnits
+
+# The most outputs and inputs that a ready scheme stacks; its matrices then have 0.2 GB each.
+_STACKED = 5_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +164,9 @@ class Scheme:
         """Upper triangular factors of Q, R and QN, on the augmented state."""
         controller, n = self.controller, self.lifting.augment(self.initial_model).n
         sizes = {"Q": n, "R": self.q, "QN": n}
-        Q, R, QN = (factor(weight_matrix(name, getattr(controller, name), size)) for name, size in sizes.items())
+        Q, R, QN = (
+            locked(factor(weight_matrix(name, getattr(controller, name), size))) for name, size in sizes.items()
+        )
         return Q, R, QN
 
     @property
@@ -184,6 +189,15 @@ class Scheme:
     def q(self) -> int:
         """Size of the input v."""
         return self.initial_model.q // self.lifting.inputs
+
+
+def _check_sizes(p: int, q: int, order: int) -> None:
+    for name, value in (("p", p), ("q", q), ("order", order)):
+        integer(name, value, 1)
+    if (p + q) * order > _STACKED:
+        raise InputError(
+            f"p, q and order must stack at most {_STACKED} outputs and inputs, got {(p + q) * order}; give smaller ones"
+        )
 
 
 def _check_bounds(bounds: Saturation, q: int) -> None:
@@ -211,8 +225,7 @@ def window_scheme(p: int, q: int, order: int) -> Scheme:
     have units: if inputs and outputs differ in size, replace R first. The generator's weight, 0.01, is added to squares
     of the outputs and assumes that these are of size one.
     """
-    for name, value in (("p", p), ("q", q), ("order", order)):
-        integer(name, value, 1)
+    _check_sizes(p, q, order)
     n = p * order
     return Scheme(
         lifting=DelayLifting(order, order),
@@ -266,8 +279,7 @@ def default_scheme(
     On two sets of 204 and 186 plants with errors of 1 % of the first outputs, the geometric mean of the costs is 0.57
     and 0.98 times that of the scheme without ``noise``; with errors of 5 % it is 0.45 and 0.90 times.
     """
-    for name, value in (("p", p), ("q", q), ("order", order)):
-        integer(name, value, 1)
+    _check_sizes(p, q, order)
     stacked = order if set_point is None else order + 1
     return scheme_for(DelayLifting(stacked, stacked), p, q, inputs, noise, bounds=bounds, set_point=set_point)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhl import _engine
-from rhl._checks import Array, choice, describe, integer
+from rhl._checks import Array, choice, describe, integer, reason
 from rhl.closed_loop import advance, check_loop, measured, moved, output, start, step
 from rhl.disturbances import Disturbances, through
 from rhl.errors import DivergedError, InputError
@@ -71,7 +71,7 @@ def simulate(
     DivergedError
         If a single run leaves the range of float64; its ``trace`` holds the steps before.
     InputError
-        If z0 or the plant do not fit, or steps is below 1.
+        If z0 or the plant do not fit, or steps is below 1 or so large that the signals do not fit into memory.
 
     Examples
     --------
@@ -140,20 +140,27 @@ class _Rows:
         lead = np.broadcast_shapes(lead, start.A.shape[:-2], *(factor.shape[:-2] for factor in scheme.factors))
         members = prod(lead)
         kept = steps if record == "models" or (record is None and not lead) else 0
-        return cls(
-            scheme,
-            lead,
-            np.empty((steps, members, scheme.p)),
-            np.empty((steps, members, scheme.q)),
-            np.empty((steps, members, plant.n)),
-            np.empty((steps, members, scheme.q)) if disturbed else None,
-            np.zeros((kept, members, n, n + q)),
-            np.zeros((kept, members, n, n + q)),
-            np.zeros((kept, members)),
-            np.zeros((kept, members), dtype=np.int64) if scheme.controller.adaptive else None,
-            np.full(members, -1),
-            applied_known,
-        )
+        try:
+            return cls(
+                scheme,
+                lead,
+                np.empty((steps, members, scheme.p)),
+                np.empty((steps, members, scheme.q)),
+                np.empty((steps, members, plant.n)),
+                np.empty((steps, members, scheme.q)) if disturbed else None,
+                np.zeros((kept, members, n, n + q)),
+                np.zeros((kept, members, n, n + q)),
+                np.zeros((kept, members)),
+                np.zeros((kept, members), dtype=np.int64) if scheme.controller.adaptive else None,
+                np.full(members, -1),
+                applied_known,
+            )
+        # Too many bytes for the memory, or for any address.
+        except (MemoryError, ValueError, OverflowError) as error:
+            raise InputError(
+                f"steps must be such that the signals of all steps fit into memory, got {steps} for a batch "
+                f"of {members} ({reason(error)}); run fewer steps"
+            ) from error
 
     @property
     def keeps_models(self) -> bool:

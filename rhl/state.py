@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from rhl._checks import Array
+from rhl._checks import Array, locked
 from rhl.horizon import Plan, solve
 from rhl.lifting import remember
 from rhl.memory import GrowingMemory
@@ -138,7 +138,9 @@ class Step:
         x, u = lifting.lift(y, 1)[..., 0, :], lifting.window(v, lifting.inputs, 1)[..., 0, :]
         with np.errstate(over="ignore", invalid="ignore"):
             predicted = state.model.step(x, u)[..., : scheme.p]
-            return predicted if scheme.set_point is None else predicted + scheme.set_point.at(self.k - 1, scheme.p)
+            if scheme.set_point is not None:
+                predicted = predicted + scheme.set_point.at(self.k - 1, scheme.p)
+        return locked(predicted)
 
     @property
     def used(self) -> SignalModel:
@@ -200,6 +202,11 @@ class Models:
     model: Array
     lam: Array
     stage: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("estimate", "model", "lam", "stage"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, locked(getattr(self, name)))
 
     @classmethod
     def of_steps(cls, steps: Iterable[Step]) -> Models:

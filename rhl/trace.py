@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rhl._checks import Array, describe, instance, integer
+from rhl._checks import Array, describe, instance, integer, locked
 from rhl._files import header, table_text, write_whole
 from rhl.closed_loop import proximal_centre, replay
 from rhl.controllability import controllability_margin, s_plus
@@ -25,7 +25,7 @@ from rhl.tracking import seen
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A run as arrays whose first axis is k.
+    """A run as arrays whose first axis is k; those that are kept are read-only.
 
     Attributes
     ----------
@@ -80,9 +80,7 @@ class Trace:
             raise InputError("a trace must have at least one step, got none")
         for name in ("y", "v", "plant_state", "computed", "diverged"):
             if getattr(self, name) is not None:
-                view = getattr(self, name).view()
-                view.flags.writeable = False
-                object.__setattr__(self, name, view)
+                object.__setattr__(self, name, locked(getattr(self, name)))
 
     @classmethod
     def of_steps(cls, scheme: Scheme, steps: Iterable[Step], applied_known: bool = True) -> Trace:
@@ -162,13 +160,13 @@ class Trace:
         x = lifting.lift(self._history(self.y, steps + lifting.outputs, steps), steps)
         u = lifting.window(self._history(v, steps + lifting.inputs, steps), lifting.inputs, steps + 1)
         x, u = np.moveaxis(x, -2, 0)[::-1], np.moveaxis(u, -2, 0)[::-1][:-1]
-        return (x if self.set_point is None else x - self._held(self.set_point)), u
+        return locked(x if self.set_point is None else x - self._held(self.set_point)), locked(u)
 
     @cached_property
     def set_point(self) -> Array | None:
         """The set points r(k), shape (steps, p); None if the scheme has none."""
         found, p = self.scheme.set_point, self.scheme.p
-        return None if found is None else np.stack([found.at(k, p) for k in range(len(self))])
+        return None if found is None else locked(np.stack([found.at(k, p) for k in range(len(self))]))
 
     def _held(self, r: Array) -> Array:
         """Return r(k) as subtracted in x(k), with zeros for outputs before k = 0, which count as r."""
@@ -186,7 +184,7 @@ class Trace:
             predicted = models.step(x[:-1], u[1:])[..., : self.scheme.p] if len(self) > 1 else self.y[1:]
             if self.set_point is not None:
                 predicted = predicted + self.set_point[:-1].reshape(-1, *[1] * (self.y.ndim - 2), self.y.shape[-1])
-        return np.concatenate([self.y[:1], predicted])
+        return locked(np.concatenate([self.y[:1], predicted]))
 
     @property
     def theta(self) -> Array:
@@ -215,7 +213,7 @@ class Trace:
                 theta = np.stack([np.concatenate([of.A, of.B], axis=-1) for of in map(self._centre, range(len(self)))])
                 used = self._pair(theta)
             state = units.weights(used, self.scheme.lifting, size, self.scheme.q)[0] * state
-        return self.scheme.controller.weight(state, stages)
+        return locked(self.scheme.controller.weight(state, stages))
 
     @cached_property
     def _size(self) -> Array | None:
@@ -254,7 +252,7 @@ class Trace:
         """Certificates of the estimates theta*(k): distances from the minimiser of (15), shape (steps, ...)."""
         estimator, lifting = self.scheme.estimator, self.scheme.lifting
         if isinstance(estimator, GrowingMemory):
-            return np.stack([self._decrement(estimator, k) for k in range(len(self))])
+            return locked(np.stack([self._decrement(estimator, k) for k in range(len(self))]))
         rows = []
         for k in range(len(self)):
             y = self._history(self.y, estimator.window + 1 + lifting.outputs, k + 1)
@@ -264,7 +262,7 @@ class Trace:
             u = lifting.window(v, lifting.inputs, estimator.window)
             found, centre, counted = self._estimate(k), self._centre(k), self._counted(k)
             rows.append(estimator.newton_decrement(found, centre, x, u, k, counted))
-        return np.stack(rows)
+        return locked(np.stack(rows))
 
     def _decrement(self, estimator: GrowingMemory, k: int) -> Array:
         if k < self.scheme.first_measured:
@@ -286,13 +284,13 @@ class Trace:
     @cached_property
     def margin_lifted(self) -> Array:
         """Smallest singular value of the lifted pair's controllability matrix, shape (steps, ...)."""
-        return np.stack([controllability_margin(self.model(k)) for k in range(len(self))])
+        return locked(np.stack([controllability_margin(self.model(k)) for k in range(len(self))]))
 
     @cached_property
     def margin_augmented(self) -> Array:
         """The same for Remark 4's augmented pair, which the controller uses, shape (steps, ...)."""
         augment = self.scheme.lifting.augment
-        return np.stack([controllability_margin(augment(self.model(k))) for k in range(len(self))])
+        return locked(np.stack([controllability_margin(augment(self.model(k))) for k in range(len(self))]))
 
     @cached_property
     def s_plus(self) -> Array:
@@ -306,7 +304,7 @@ class Trace:
         used = (self._centre(k) if controller.model_delay else self.model(k) for k in range(len(self)))
         models = [augment(model) for model in used]
         found = [s_plus(model, min(controller.horizon, model.n)) for model in models]
-        return np.stack([np.broadcast_to(one, self.y.shape[1:-1]) for one in found])
+        return locked(np.stack([np.broadcast_to(one, self.y.shape[1:-1]) for one in found]))
 
     def model(self, k: int) -> SignalModel:
         """Return theta~(k); the initial model for k = -1."""

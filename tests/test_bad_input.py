@@ -543,7 +543,7 @@ API = [
     ("one key that is a number", lambda: parse({1: 2, "name": "a"}), r"^a run must be described by a dictionary", None),
     ("no file", lambda: load("missing.toml"), r"^missing.toml must be a readable TOML file, got: No such", None),
     ("a path of None", lambda: load(None), r"^None must be a readable TOML file, got: ", None),
-    ("a template without a name", lambda: template(3), r"^name must be a string, .*got 3", None),
+    ("a template without a name", lambda: template(3), r"^name must be a string of .*, .*got 3", None),
 ]
 
 # Those whose type says more than InputError.

@@ -62,6 +62,7 @@ def test_no_equality_at_all():
     known = LinearConstraints.shift(2, 1, 1, 1)
     assert (known.M.shape, known.b.shape) == ((0, 6), (0,))
     assert np.array_equal(known.null_space, np.eye(6))
+    assert not known.null_space.flags.writeable
     model = draw(np.random.default_rng(SEED), 2, 1)
     known.check("it", model)
     assert known.nearest(model) is model

@@ -1,6 +1,11 @@
 """The scheme in the loop with hardware: the same inputs as in a simulation, after a restore and after bad input too."""
 
+import io
+import struct
+import tracemalloc
+from contextlib import suppress
 from dataclasses import replace
+from zipfile import ZIP_BZIP2, ZIP_DEFLATED, ZIP_LZMA, ZIP_STORED, ZipFile
 
 import numpy as np
 import pytest
@@ -13,7 +18,6 @@ from rhl import (
     Saturation,
     SignalModel,
     default_scheme,
-    live,
     simulate,
     window_scheme,
 )
@@ -21,6 +25,7 @@ from rhl.basis import Polynomials
 from rhl.family import ModelFamily
 from rhl.paper.claims.theorem_4 import family_scheme
 from rhl.paper.published import linear_example
+from tests.sizes import size
 
 PLANT = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
 Z0 = np.array([1.0, -1.0])
@@ -160,22 +165,211 @@ def test_a_state_of_another_family_is_refused(tmp_path):
     assert LiveController.restore(scheme, path).state.k == 1
 
 
-def test_a_small_file_that_unpacks_to_more_than_memory_is_refused(tmp_path, monkeypatch):
-    scheme, path = default_scheme(1, 1, 2), tmp_path / "state.npz"
+def saved(path, scheme=SCHEMES[1], steps=3):
+    """The arrays of a saved state."""
     controller = LiveController(scheme)
+    for _ in range(steps):
+        controller.step([1.0])
     controller.save(path)
     with np.load(path) as file:
-        kept = dict(file)
-    np.savez_compressed(path, **(kept | {"y": np.zeros(100_000)}))
-    monkeypatch.setattr(live, "_LARGEST", 700_000)
-    assert path.stat().st_size < 20_000
-    # np.load would read it; the control shows that the refusal is that of the unpacked size.
-    monkeypatch.setattr(np, "load", lambda *_, **__: pytest.fail("the file is unpacked"))
-    with pytest.raises(InputError, match="must be a saved state"):
-        LiveController.restore(scheme, path)
-    np.savez(path, **kept)
-    with pytest.raises(pytest.fail.Exception):
-        LiveController.restore(scheme, path)
+        return dict(file)
+
+
+def packed(path, arrays, method=ZIP_STORED, offset=None):
+    """Write an archive of arrays, or of the bytes of their files."""
+    with ZipFile(path, "w", method) as archive:
+        for name, array in arrays.items():
+            if not isinstance(array, bytes):
+                buffer = io.BytesIO()
+                np.save(buffer, array)
+                array = buffer.getvalue()
+            archive.writestr(f"{name}.npy", array)
+        for entry in archive.filelist:
+            entry.header_offset = entry.header_offset if offset is None else offset
+
+
+def array_file(shape, kind="<f8"):
+    header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header) + 1) + header + b"\n"
+
+
+def refused(path, scheme=SCHEMES[1]):
+    """The sentence that refuses a file, and the most memory that this took."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError) as caught:
+            LiveController.restore(scheme, path)
+        return str(caught.value), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_large_file_is_not_read(tmp_path):
+    path = tmp_path / "state.npz"
+    with path.open("wb") as file:
+        file.truncate(10**12)  # a hole: a terabyte that takes no room on the disk
+    said, most = refused(path)
+    assert said.endswith(
+        "state.npz must be a saved state of at most 10328 bytes, as the scheme's is, got more; give the scheme that "
+        "was running then"
+    )
+    assert most < 1_000_000
+
+
+def test_a_small_file_that_unpacks_to_much_is_not_unpacked(tmp_path):
+    path, kept = tmp_path / "state.npz", saved(tmp_path / "state.npz")
+    np.savez_compressed(path, **(kept | {"y": np.zeros(800_000)}))
+    assert path.stat().st_size < 9_000
+    said, most = refused(path)
+    assert said.endswith("must be a saved state, got: a file that LiveController.save did not write")
+    assert most < 1_000_000
+    content = bytearray(path.read_bytes())
+    begin = content.rindex(b"PK\x01\x02", 0, content.rindex(b"\0y.npy"))
+    assert content[begin + 24 : begin + 28] == struct.pack("<I", 6_400_128)
+    content[begin + 24 : begin + 28] = struct.pack("<I", 160)  # the archive understates the size
+    path.write_bytes(content)
+    said, most = refused(path)
+    assert said.endswith("must be a saved state, got: a file that LiveController.save did not write")
+    assert most < 1_000_000
+    np.savez_compressed(path, **kept)  # the control: packing as such is no fault
+    assert LiveController.restore(SCHEMES[1], path).state.k == 3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"A": array_file((10**13,))},
+        {"A": array_file((10**9,))},
+        {"A": array_file((2**64,))},
+        {"A": array_file((0, 10**21))},
+        {"A": array_file((0, 2))},
+        {"A": array_file((10**12,), "|V0")},
+        {"A": array_file((-1, 4))},
+        {"A": array_file((2, 2), "|O")},
+        {"A": array_file("(" * 900 + ")" * 900)},
+        {"A": array_file("(9**9**9,)")},
+        {"k": b"hello"},
+        {"family": b""},
+        {"extra": np.zeros(1)},
+        {"v": None},
+        {"k": None},
+        {"k": np.bool_(True)},
+        {"stage": np.float64(1e300)},
+        {"stage": np.zeros((7, 3), dtype=int)},
+        {"y": np.full((4, 1), np.nan)},
+    ],
+)
+def test_arrays_that_save_does_not_write(tmp_path, change):
+    path = tmp_path / "state.npz"
+    arrays = saved(path) | change
+    packed(path, {name: array for name, array in arrays.items() if array is not None})
+    said, most = refused(path)
+    assert said.endswith("must be a saved state, got: a file that LiveController.save did not write")
+    assert most < 1_000_000
+
+
+@pytest.mark.parametrize("method", [ZIP_STORED, ZIP_DEFLATED, ZIP_BZIP2, ZIP_LZMA])
+def test_archives_that_are_damaged_or_packed_otherwise(tmp_path, method):
+    path = tmp_path / "state.npz"
+    kept, ours = saved(path), method in (ZIP_STORED, ZIP_DEFLATED)
+    packed(path, kept, method)
+    content = path.read_bytes()
+    if ours:
+        assert LiveController.restore(SCHEMES[1], path).state.k == 3
+    else:
+        assert refused(path)[0].endswith("got: a file that LiveController.save did not write")
+    at = content.index(b"A.npy") + 5
+    first, second = content.index(b"PK\x03\x04"), content.index(b"PK\x01\x02")
+    for begin, wrong in (
+        (at, bytes(byte ^ 0xFF for byte in content[at : at + 40])),
+        (second + 8, b"\x01\x00"),  # encrypted
+        (second + 10, b"\x63\x00"),  # no such method
+        (second + 6, b"\xff\x00"),  # no such version
+        (first, b"none"),
+        (len(content) - 30, b""),
+    ):
+        path.write_bytes(content[:begin] + wrong + (content[begin + len(wrong) :] if wrong else b""))
+        assert refused(path)[0].endswith("got: a file that LiveController.save did not write")
+    packed(path, kept, method, offset=2**64 - 1)
+    assert refused(path)[0].endswith("got: a file that LiveController.save did not write")
+
+
+def test_no_damage_is_an_error_of_another_kind(tmp_path):
+    path, random = tmp_path / "state.npz", np.random.default_rng(0)
+    saved(path)
+    content, restored = path.read_bytes(), 0
+    for _ in range(size(300, 20_000)):
+        damaged = bytearray(content)
+        for at in random.integers(len(content), size=random.integers(1, 5)):
+            damaged[at] = random.integers(256)
+        path.write_bytes(damaged)
+        with suppress(InputError):
+            LiveController.restore(SCHEMES[1], path)
+            restored += 1
+    assert restored < size(300, 20_000) / 2
+
+
+@pytest.mark.parametrize(
+    ("scheme", "change", "says"),
+    [
+        (
+            1,
+            {"k": np.uint64(2**64 - 1)},
+            "the state's k must be at most 9007199254740992, got 18446744073709551615; give",
+        ),
+        (
+            1,
+            {"stage": np.int64(0)},
+            "state must belong to the scheme, whose stage is None, got one that has shape (); give",
+        ),
+        (
+            1,
+            {"value": np.zeros(9)},
+            "state must belong to the scheme, whose value is None, got one that has shape (9,)",
+        ),
+        (1, {"size": np.array([-1.0])}, "the state's size must be of at least 0, got array([-1.]); give a state that"),
+        (
+            1,
+            {"data": np.ones((4, 6))},
+            "the state's data must be triangular, with a diagonal of at least 0, got array(",
+        ),
+        (1, {"data": -np.eye(4, 6)}, "the state's data must be triangular, with a diagonal of at least 0, got array("),
+        (1, {"size": None}, "state must belong to the scheme, whose size has shape (1,), got one that is None; give"),
+        (2, {"stage": None}, "state must belong to the scheme, whose stage has shape (), got one that is None; give"),
+        (2, {"value": None}, "state must belong to the scheme, whose value has shape (), got one that is None; give"),
+        (
+            2,
+            {"value": np.zeros(9)},
+            "state must belong to the scheme, whose value has shape (), got one that has shape (9,)",
+        ),
+        (
+            2,
+            {"stage": np.int64(3)},
+            "the state's stage must be from 0 to 2, got array(3); give a state that the scheme",
+        ),
+        (
+            2,
+            {"stage": np.int64(-1)},
+            "the state's stage must be from 0 to 2, got array(-1); give a state that the scheme",
+        ),
+    ],
+)
+def test_numbers_that_no_step_returns(tmp_path, scheme, change, says):
+    path = tmp_path / "state.npz"
+    kept = saved(path, SCHEMES[scheme])
+    assert LiveController.restore(SCHEMES[scheme], path).step([1.0]).shape == (1,)
+    np.savez(path, **{name: array for name, array in (kept | change).items() if array is not None})
+    assert refused(path, SCHEMES[scheme])[0].startswith(says)
+
+
+def test_a_state_of_infinite_data_is_refused():
+    controller = LiveController(SCHEMES[1])
+    controller.step([1.0])
+    assert LiveController(SCHEMES[1], controller.state).state is controller.state
+    with pytest.raises(InputError, match="the state's data must be finite, got inf among its entries"):
+        LiveController(SCHEMES[1], replace(controller.state, data=np.full((4, 6), np.inf)))
+    with pytest.raises(InputError, match=r"the state's k must be an integer of at least 0, got 1\.5"):
+        LiveController(SCHEMES[1], replace(controller.state, k=1.5))
 
 
 def test_a_state_of_another_model_is_refused(tmp_path):

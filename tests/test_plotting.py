@@ -119,3 +119,22 @@ def test_the_axis_of_a_weight_that_vanishes_ends_where_nothing_is_seen():
     short = simulate(default_scheme(1, 1, 2), plant, [1.0, -1.0], 5)
     low, _ = plotting.run(short).axes[2].get_ylim()
     assert low < short.weight[short.weight > 0].min()  # otherwise every value is shown
+
+
+@pytest.mark.parametrize(
+    ("plant", "z0", "scales"),
+    [
+        (LinearPlant([[1.1]], [[1.0]], [[1.0]]), [0.0], ["linear", "linear"]),
+        (LinearPlant([[1.1]], [[1.0]], [[0.0]]), [1.0], ["linear", "linear"]),
+        (LinearPlant(np.eye(2) / 2, np.eye(2), [[1.0, 0.0], [0.0, 0.0]]), [1.0, 1.0], ["log", "linear"]),
+        (LinearPlant([[1.1]], [[1.0]], [[1.0]]), [1.0], ["log", "log"]),
+    ],
+)
+def test_signals_that_are_zero_are_drawn(plant, z0, scales):
+    trace = simulate(default_scheme(plant.p, plant.q, 1), plant, z0, 6)
+    axes = plotting.run(trace, "zero").axes
+    assert [ax.get_yscale() for ax in axes[2:]] == scales
+    drawn = axes[2].lines[0].get_ydata()
+    assert np.array_equal(drawn[trace.weight > 0], trace.weight[trace.weight > 0])
+    assert np.all(np.isfinite(drawn)) == (scales[0] == "linear" or np.all(trace.weight > 0))
+    assert plotting.render(lambda: plotting.run(trace), "run.svg").startswith(b"<?xml")

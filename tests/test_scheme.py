@@ -269,3 +269,15 @@ def test_other_estimators_close_the_loop_too(estimator):
 def test_default_refused(sizes):
     with pytest.raises(InputError, match=r"(p|q|order) must be an integer of at least 1, got"):
         window_scheme(*sizes)
+
+
+@pytest.mark.parametrize("make", [default_scheme, window_scheme])
+@pytest.mark.parametrize("sizes", [(10**6, 1, 1), (10**5, 10**5, 10**5), (1, 2**40, 1), (1, 1, 2501)])
+def test_sizes_that_no_memory_holds(make, sizes):
+    p, q, order = sizes
+    with pytest.raises(InputError) as caught:
+        make(p, q, order)
+    assert str(caught.value) == (
+        f"p, q and order must stack at most 5000 outputs and inputs, got {(p + q) * order}; give smaller ones"
+    )
+    assert make(1, 1, 40).initial_model.n == 40

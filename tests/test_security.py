@@ -7,7 +7,10 @@ import pickle
 import re
 import subprocess
 import sys
+import tomllib
+import tracemalloc
 from dataclasses import replace
+from datetime import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,7 @@ import pytest
 from rhl import InputError, window_scheme
 from rhl.app import _limits, _status, cli
 from rhl.app._campaign_keys import parse as parse_campaign
+from rhl.app._keys import read_toml
 from rhl.app.config import load, parse
 from tests.app.test_bad_files import GOOD, OWN
 from tests.app.test_config import LINEAR, ORDER
@@ -427,8 +431,111 @@ def test_the_largest_file_is_not_read_whole(tmp_path):
     assert load(path).steps == 42
 
 
+def dotted(part="a", dot=".", count=3000):
+    return dot.join([part] * count)
+
+
+def parsing(path, text):
+    """The tables of a file, or the sentence that refuses it, and the most memory that this took."""
+    path.write_text(text, encoding="utf-8", newline="")
+    tracemalloc.start()
+    try:
+        found = read_toml(path)[1]
+    except InputError as error:
+        found = str(error)
+    finally:
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    return found, most
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"{dotted()} = 1",
+        f"[{dotted()}]",
+        f"[[{dotted()}]]",
+        f"x = [{{y = 1, {dotted()} = 1}}]",
+        dotted(part='"a."') + " = 1",
+        dotted(part="'a#'") + " = 1",
+        dotted(dot=" .\t") + " = 1",
+        f'x = \'"\' # """\r\n{dotted()} = 1',
+        f"x = ''\n{dotted()} = 1",
+        f'x = {{y = "\\"\'\\\\", {dotted()} = 1}}',
+        f'x = {{y = """ \\""" \n \'\'\' """"", {dotted()} = 1}}',
+        f"x = {{y = '''\\'''', {dotted()} = 1}}",
+        f"{dotted(count=9)} = 1",
+    ],
+)
+def test_a_key_of_many_parts_is_not_parsed(tmp_path, text):
+    """The parser keeps every beginning of a key: 3000 parts would take 36 MB."""
+    said, most = parsing(tmp_path / "run.toml", text)
+    assert re.search(r"run\.toml must have keys of at most 8 parts, got more in line [12]: ", said)
+    assert most < 6_000_000
+    tomllib.loads(text)  # the control: the file is TOML
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        (f'x = "{dotted()}"', dotted()),
+        (f"x = '{dotted()}'", dotted()),
+        (f'x = """\n{dotted()}\\\\"""" ', dotted() + '\\"'),
+        (f"x = '''{dotted()}''''", dotted() + "'"),
+        (f'x = "it\'s {dotted()}" # {dotted()}', f"it's {dotted()}"),
+        (f"x = 1 # it's {dotted()}\n", 1),
+        ("x = [1.5, 2.5, 3.5, 4.5, 5.5, 6.5, 7.5, 8.5, 9.5]", [i + 0.5 for i in range(1, 10)]),
+        ("x = 07:32:00.999", time(7, 32, 0, 999000)),
+        (f"x.'{dotted()}'.c.d.e.f.g.h = 1.5", {dotted(): {"c": {"d": {"e": {"f": {"g": {"h": 1.5}}}}}}}),
+    ],
+)
+def test_strings_and_numbers_with_dots_are_accepted(tmp_path, text, value):
+    assert parsing(tmp_path / "run.toml", text)[0] == {"x": value}
+
+
+def test_many_headers_are_not_parsed(tmp_path):
+    """A header of eight parts takes eight kilobytes: a file of five megabytes would take two gigabytes."""
+    path = tmp_path / "run.toml"
+    said, most = parsing(path, "".join(f" [a{i}.a]\n" for i in range(10_001)))
+    assert said.endswith(
+        "must have at most 10000 lines that begin with a bracket, got 10001; leave out sections, or give a matrix in "
+        "fewer lines"
+    )
+    assert most < 6_000_000
+    found, most = parsing(path, "".join(f"[a{i}.a]\n" for i in range(10_000)))
+    assert len(found) == 10_000
+    assert most > 6_000_000
+
+
+@pytest.mark.parametrize("text", ['"\\"', "'\"", '"""\\"', "a.\n", "a .\n", "a ", "\\", "0.5,"])
+def test_a_file_is_searched_without_going_back(tmp_path, text):
+    """In a time that grows with the text; one that grows with its square would be hours."""
+    path = tmp_path / "run.toml"
+    path.write_text(1_000_000 // len(text) * text, encoding="utf-8")
+    with pytest.raises(InputError, match="must be valid TOML"):
+        read_toml(path)
+
+
+def test_a_plant_whose_states_would_fill_the_memory():
+    """Of 1500 states and 100 000 steps the table alone took 11 GB."""
+    data = tomllib.loads(ORDER)
+    n = 1500
+    data["plant"] |= {"F": np.eye(n).tolist(), "G": [[1.0]] * n, "H": [[1.0] * n], "z0": [1.0] * n}
+    for steps, fits in ((16_600, True), (16_601, False), (100_000, False)):
+        data["steps"] = steps
+        if fits:
+            assert parse(data).experiment().steps == steps
+            continue
+        with pytest.raises(InputError) as caught:
+            parse(data).experiment()
+        assert str(caught.value) == (
+            "steps must be such that the entries of the table, each with its text as ten numbers, are at most "
+            f"250000000 numbers, got {steps} and {15060 * steps} numbers; make it smaller, or stack less"
+        )
+
+
 def test_a_window_that_would_fill_the_memory():
     scheme = window_scheme(1, 1, 2)
-    _limits.fits(scheme, 10)
+    _limits.fits(scheme, 10, 2)
     with pytest.raises(InputError, match=r"^estimator\.window must be such that the transitions of the window"):
-        _limits.fits(replace(scheme, estimator=replace(scheme.estimator, window=10**9)), 10)
+        _limits.fits(replace(scheme, estimator=replace(scheme.estimator, window=10**9)), 10, 2)

@@ -464,3 +464,15 @@ def test_a_batch_of_which_nothing_is_left(how):
 def test_an_actuator_cannot_write_into_what_was_computed():
     with pytest.raises(ValueError, match="read-only"):
         simulate(scheme(), PLANT, Z0, 5, actuator=lambda k, v: np.multiply(v, 0.5, out=v))
+
+
+@pytest.mark.parametrize("record", ["signals", "models"])
+@pytest.mark.parametrize("steps", [10**18, 2**62, 2**63, 10**30])
+def test_more_steps_than_memory_are_an_input_error(steps, record):
+    example = linear_example()
+    wanted = rf"^steps must be such that the signals of all steps fit into memory, got {steps} for a batch of 1 \(\w+: "
+    with pytest.raises(InputError, match=wanted):
+        simulate(example.scheme, example.plant, example.z0, steps, record=record)
+    with pytest.raises(InputError, match=wanted):
+        simulate(example.scheme, example.plant, example.z0, steps, record=record, actuator=Saturation(-1.0, 1.0))
+    assert len(simulate(example.scheme, example.plant, example.z0, 3, record=record)) == 3

@@ -2,21 +2,28 @@
 
 import os
 from dataclasses import FrozenInstanceError, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
 import pytest
 
+from rhl._checks import locked
 from rhl._files import header, write_whole
 from rhl.closed_loop import closed_loop, replay
 from rhl.controllability import controllability_margin, s_plus
+from rhl.disturbances import Saturation
 from rhl.errors import InputError
+from rhl.horizon import Plan
 from rhl.model import SignalModel
 from rhl.paper.published import linear_example, robot_arm
 from rhl.plants import LinearPlant
-from rhl.scheme import window_scheme
+from rhl.problems import V1
+from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.simulation import simulate
+from rhl.state import ControllerState, Models, Step
 from rhl.trace import Trace
+from rhl.tracking import SetPoint
 
 STEPS = 8
 LINEAR, ROBOT = linear_example(), robot_arm()
@@ -242,3 +249,63 @@ def test_steps_have_the_state_that_they_began_with():
         assert kept.state.stage == done.state.stage
         assert (kept.state.value is None) == (done.state.value is None)
         assert kept.state.value is None or kept.state.value == pytest.approx(done.state.value, rel=1e-9)
+
+
+def kept_arrays(record, path):
+    """The arrays that a record keeps, by name, and those of the records in it: its fields and what it has computed."""
+    names = {name for name, made in vars(type(record)).items() if isinstance(made, cached_property)} | {*vars(record)}
+    for name in sorted(name for name in names if not name.startswith("_")):
+        values = getattr(record, name)
+        for value in values[:3] if isinstance(values, tuple) else (values,):
+            if isinstance(value, np.ndarray):
+                yield f"{path}.{name}", value
+            elif isinstance(value, Trace | Models | Step | ControllerState | Plan | V1 | SignalModel | Scheme):
+                yield from kept_arrays(value, f"{path}.{name}")
+
+
+@pytest.mark.parametrize("record", ["signals", "models"])
+@pytest.mark.parametrize(
+    "scheme",
+    [
+        default_scheme(1, 1, 2),
+        default_scheme(1, 1, 2, set_point=SetPoint(1.0), bounds=Saturation(-1.0, 1.0)),
+        window_scheme(1, 1, 2),
+        replace(window_scheme(1, 1, 2), controller=replace(window_scheme(1, 1, 2).controller, adaptive=True)),
+    ],
+)
+def test_what_is_kept_is_read_only(scheme, record):
+    """An edit of a returned array would change the table, or every later run of the scheme."""
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    found = dict(kept_arrays(simulate(scheme, plant, [1.0, -1.0], 4, record=record), "trace"))
+    assert found.keys() >= {
+        *(f"trace.{name}" for name in ("weight", "y_hat", "newton_decrement", "margin_lifted", "s_plus", "lifted")),
+        *("trace.scheme.factors", "trace.steps.y_hat", "trace.steps.plan.u", "trace.steps.state.y"),
+    }
+    assert [name for name, array in found.items() if array.flags.writeable] == []
+    # The control: a writable array is found.
+    assert (
+        dict(kept_arrays(Models(*np.ones((2, 1, 1, 2)), np.ones(1)), "models"))["models.lam"].flags.writeable is False
+    )
+    model = SignalModel([[1.0]], [[1.0]])
+    object.__setattr__(model, "A", np.ones((1, 1)))
+    assert [name for name, array in kept_arrays(model, "model") if array.flags.writeable] == ["model.A"]
+
+
+def test_an_edit_of_a_result_is_refused_and_changes_no_run():
+    scheme = window_scheme(1, 1, 2)
+    plant = LinearPlant([[1.1, 1.0], [0.0, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]])
+    trace = simulate(scheme, plant, [1.0, -1.0], 8)
+    before = trace.columns()["weight"].copy()
+    for array in (trace.weight, trace.models.model, trace.steps[3].y_hat, scheme.factors[0]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 9
+    assert np.array_equal(trace.columns()["weight"], before)
+    assert np.array_equal(simulate(scheme, plant, [1.0, -1.0], 8).v, trace.v)
+
+
+def test_locked_does_not_copy():
+    array = np.zeros(3)
+    view = locked(array)
+    array[0] = 1.0
+    assert np.shares_memory(view, array)
+    assert (view[0], view.flags.writeable, array.flags.writeable) == (1.0, False, True)

@@ -16,8 +16,22 @@ from rhl.errors import InputError
 
 Kind = Mapping[str, Any]
 
-# The largest file in bytes, with room for matrices of a few hundred rows.
-_LARGEST = 5_000_000
+# The largest file in bytes, with room for matrices of a few hundred rows, and the most of its lines that begin with a
+# bracket: each may be a table's header, of which the parser keeps a thousand bytes for each part of the key.
+_LARGEST, _HEADERS = 5_000_000, 10_000
+_HEADER = re.compile(r"^[ \t]*+\[", re.MULTILINE)
+# The parser keeps all beginnings of a dotted key, the square of its length. The project's keys have up to three parts.
+_PARTS = 8
+_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\\\n]*+(?:\\.[^"\\\n]*+)*+"?|'[^'\n]*+'?)"""
+_DOT = r"[ \t]*+\.[ \t]*+"
+# Comments, strings of several lines, and keys, as which numbers and strings count too; each alternative runs to its end
+# without going back, and one without its end is an error of the parser.
+_TOKENS = re.compile(
+    r"""\#[^\n]*+"""
+    r"""|\"{3}[^"\\]*+(?:(?:\\[\s\S]|"(?!""))[^"\\]*+)*+(?:"{3,5}+)?"""
+    r"""|'{3}[^']*+(?:'(?!'')[^']*+)*+(?:'{3,5}+)?"""
+    rf"""|{_PART}(?:{_DOT}{_PART}){{0,{_PARTS - 1}}}+(?P<more>{_DOT}["'\w-])?+"""
+)
 
 
 def integer(low: int, high: int) -> Kind:
@@ -45,8 +59,12 @@ FRACTION: Kind = NUMBER | {"minimum": 0, "exclusiveMaximum": 1}
 OPEN_FRACTION: Kind = NUMBER | {"exclusiveMinimum": 0, "exclusiveMaximum": 1}
 FLAG: Kind = {"type": "boolean"}
 TEXT: dict[str, Any] = {"type": "string"}
-# Characters that end a line, move a cursor or change the writing direction would spoil tables and figures.
-LINE: Kind = TEXT | {"pattern": "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$(?!\\n)"}
+# Characters that end a line, move a cursor or change the writing direction would spoil tables and figures,
+# and so would a text of pages; `rhl new` takes the name of a file, which is never longer than this.
+LINE: Kind = TEXT | {
+    "pattern": "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$(?!\\n)",
+    "maxLength": 255,
+}
 VECTOR = list_of(NUMBER)
 MATRIX = list_of(VECTOR)
 # A matrix of numbers, with "?" for unknown entries.
@@ -87,7 +105,8 @@ def _said(kind: Kind) -> str:
             return f"a number of at least {low}" if "minimum" in kind else "a positive number"
         case "number", _, _:
             return f"a number in {'[' if 'minimum' in kind else '('}{low}, {high})"
-    return {"boolean": "true or false", "string": "a string", "object": "a section"}.get(kind.get("type", ""), "")
+    string = f"a string of at most {kind['maxLength']} characters" if "maxLength" in kind else "a string"
+    return {"boolean": "true or false", "string": string, "object": "a section"}.get(kind.get("type", ""), "")
 
 
 def fitted(kind: Kind, value: Any) -> Any:
@@ -110,9 +129,13 @@ def fitted(kind: Kind, value: Any) -> Any:
         inside = kind.get("exclusiveMinimum", -inf) < value < kind.get("exclusiveMaximum", inf)
         if not (inside and kind.get("minimum", -inf) <= value <= kind.get("maximum", inf)):
             raise ValueError
-    elif value not in kind.get("enum", (value,)) or not re.fullmatch(kind.get("pattern", "(?s:.*)"), str(value)):
+    elif value not in kind.get("enum", (value,)) or (isinstance(value, str) and not _matches(kind, value)):
         raise ValueError
     return value
+
+
+def _matches(kind: Kind, text: str) -> bool:
+    return len(text) <= kind.get("maxLength", inf) and bool(re.fullmatch(kind.get("pattern", "(?s:.*)"), text))
 
 
 class Section:
@@ -212,9 +235,27 @@ def read_toml(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{name} must be a TOML file in UTF-8, got other bytes at position {error.start}") from error
+    _check_size(name, text)
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # the parser's own error is a ValueError, and so is a huge number's
         detail = "too deeply nested" if isinstance(error, RecursionError) else " ".join(str(error).split())
         raise InputError(f"{name} must be valid TOML, got: {detail}") from error
     return text, data
+
+
+def _check_size(name: str, text: str) -> None:
+    """Refuse keys and tables whose parsing would take far more memory than the file has bytes."""
+    deep = next((token for token in _TOKENS.finditer(text) if token["more"]), None)
+    if deep is not None:
+        line = text.count("\n", 0, deep.start()) + 1
+        raise InputError(
+            f"{name} must have keys of at most {_PARTS} parts, got more in line {line}: {describe(deep[0])}; give each "
+            "key below the header of its section"
+        )
+    headers = sum(1 for _ in _HEADER.finditer(text))
+    if headers > _HEADERS:
+        raise InputError(
+            f"{name} must have at most {_HEADERS} lines that begin with a bracket, got {headers}; leave out sections, "
+            "or give a matrix in fewer lines"
+        )

@@ -14,6 +14,8 @@ from rhl.study.ensembles import Ensemble
 # The most numbers of one kind in a run or a task, 2 GB; the most entries of x(k) and of u(k), whose controllability
 # matrix then takes seconds; the most results of a campaign, about 1 GB, which are loaded at once; files in a folder.
 NUMBERS, ENTRIES, RESULTS, TASKS, SCHEMES = 250_000_000, 1_000, 20_000_000, 100_000, 1_000
+# A number of the table, with its text of up to 24 letters that is there three times, takes as much memory as ten.
+_TEXT = 10
 
 
 def stacked(keys: str, p: int, q: int, outputs: int, inputs: int) -> None:
@@ -25,13 +27,22 @@ def stacked(keys: str, p: int, q: int, outputs: int, inputs: int) -> None:
             )
 
 
-def fits(scheme: Scheme, steps: int) -> None:
-    """Refuse a run that needs too much memory; the sentence begins with the key to change."""
+def fits(scheme: Scheme, steps: int, states: int) -> None:
+    """Refuse a run that needs too much memory, for a plant of that many states.
+
+    The sentence begins with the key to change.
+    """
     model, controller, window = scheme.initial_model, scheme.controller, getattr(scheme.estimator, "window", 0)
     n, d, q, horizon = model.n, model.n + model.q, scheme.q, controller.horizon
     a = d - q  # the order of the augmented model
     parts = [
         ("steps", steps, "the estimates of all steps", 2 * steps * n * d),
+        (
+            "steps",
+            steps,
+            "the entries of the table, each with its text as ten numbers,",
+            _TEXT * steps * (2 * scheme.p + q + states + 3),
+        ),
         ("estimator.window", window, "the transitions of the window", 2 * window * d),
         ("controller.horizon", horizon, "the gains of a plan", horizon * q * (a + q)),
     ]

@@ -1,17 +1,25 @@
-"""A run as `rhl run` and `rhl check --run` show it: under a progress bar, with the reason why it stopped early."""
+"""A run under a progress bar, the reason why it stopped early, its rows and its figure; the table of a diagnosis."""
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rhl._checks import reason
+from rhl._files import table_text
 from rhl.app._sections import too_heavy
 from rhl.app._status import INTERRUPTED, OK, STOPPED
-from rhl.app._streams import print_table, progress, undisturbed
+from rhl.app._streams import STDOUT, deliver, named, print_table, progress, undisturbed
 from rhl.app.diagnosis import Diagnosis
-from rhl.errors import DivergedError, LostControllabilityError, NotSolvedError
+from rhl.errors import DivergedError, InputError, LostControllabilityError, NotSolvedError
 from rhl.paper.published import Experiment
 from rhl.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CHECK_WIDTH = 140  # of the table of `rhl check`
 TOO_LARGE = "the run must fit into memory"
@@ -49,6 +57,41 @@ def _heavy(experiment: Experiment, error: DivergedError) -> str:
     if controller.adaptive:
         k = int(error.trace.steps[-1].stage) + 1 if error.trace else 0
     return too_heavy(controller, k)
+
+
+def write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
+    """Write the rows and the figure; if one of them cannot be written, the other is removed too.
+
+    If the figure cannot be drawn, the rows are written all the same, since the run may have taken long.
+    """
+    table = table_text(trace.columns()) if options.output else ""
+    results: list[tuple[Path, str | bytes]] = []
+    try:
+        if options.plot:
+            from rhl import plotting  # matplotlib is an extra, and takes long to load
+
+            results.append((options.plot, plotting.render(draw, options.plot)))
+    except BaseException as error:
+        if options.output:
+            deliver(options.output, table, options.force)
+        if isinstance(error, ValueError | ArithmeticError):
+            kept = f"the rows are in {named(options.output)}" if options.output else "leave out --plot"
+            raise InputError(f"--plot must be of a run that can be drawn, got {reason(error)}; {kept}") from error
+        raise
+    if options.output:
+        # Printed rows cannot be removed again, so they come last.
+        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table))
+    made: list[Path] = []
+    for path, content in results:
+        fresh = path is not STDOUT and not path.exists()
+        try:
+            deliver(path, content, options.force)
+        except InputError:
+            for file in made:
+                file.unlink(missing_ok=True)
+            raise
+        if fresh:
+            made.append(path.resolve())
 
 
 def print_findings(diagnosis: Diagnosis, title: str) -> None:

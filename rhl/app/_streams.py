@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO, cast
 from rhl.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
 # Stands for standard output in place of a file; compared by identity, since ./- is a file of that name.
@@ -100,10 +101,9 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     if not sys.stderr.isatty() or find_spec("rich") is None:  # a run needs no bar
         yield lambda done: None
         return
-    from rich.console import Console
     from rich.progress import Progress
 
-    bar = Progress(console=Console(stderr=True), transient=True)
+    bar = Progress(console=_console(sys.stderr), transient=True)
     task = bar.add_task(what, total=total)
     bar.start()
     try:
@@ -114,21 +114,42 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 def width_of(file: TextIO, least_width: int) -> int:
-    """Return the width of a table: the terminal's, without a terminal COLUMNS, or else ``least_width``."""
-    from rich.console import Console
+    """Return the width of a table: the terminal's, without a terminal COLUMNS, or else ``least_width``.
 
-    console = Console(file=file)
+    COLUMNS counts only if it is a number of columns, from 1 to 99999.
+    """
+    console = _console(file)
     # Off a terminal rich assumes 80 columns, which would fold the table.
-    if not console.is_terminal and not os.environ.get("COLUMNS", "").isdecimal():
+    if not console.is_terminal and not _size_in("COLUMNS"):
         return max(console.width, least_width)
     return console.width
 
 
-def print_table(table: Table, least_width: int, file: TextIO) -> None:
-    """Print a table of the width ``width_of``."""
+def _size_in(name: str) -> int:
+    """Return the columns or lines that a variable of the environment holds, 0 if it holds no such number."""
+    given = os.environ.get(name, "")
+    return int(given) if given.isascii() and given.isdecimal() and len(given) < 6 else 0
+
+
+def _console(file: TextIO, **settings: Any) -> Console:
+    """Return a console; rich itself would take a width of 0, and would fail for digits that are no number."""
     from rich.console import Console
 
-    console = Console(highlight=False, file=file, width=width_of(file, least_width))
+    if any(name in os.environ and not _size_in(name) for name in ("COLUMNS", "LINES")):
+        settings = {"width": _size_in("COLUMNS") or _terminal_width(), "height": _size_in("LINES") or 25} | settings
+    return Console(file=file, **settings)
+
+
+def _terminal_width() -> int:
+    for descriptor in range(3):
+        with suppress(OSError):
+            return os.get_terminal_size(descriptor).columns or 80
+    return 80
+
+
+def print_table(table: Table, least_width: int, file: TextIO) -> None:
+    """Print a table of the width ``width_of``."""
+    console = _console(file, highlight=False, width=width_of(file, least_width))
     with console.capture() as capture:
         console.print(table)
     print(capture.get(), end="", file=file)

@@ -7,7 +7,7 @@ import json
 import sys
 import textwrap
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -37,9 +37,6 @@ from rhl.errors import AssumptionWarning, InputError
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from matplotlib.figure import Figure
-
-    from rhl.trace import Trace
 
 # Packages that some commands need, and the extra that brings them.
 _EXTRAS = {
@@ -53,6 +50,18 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message}; see '{self.prog} --help'")
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; unlike argparse, which says nothing if a full disk takes none of it, raise OSError."""
+        print(self.format_help(), end="", file=file)
+
+
+class _Version(argparse.Action):
+    """Prints the version, with the same errors."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        print(f"rhl {__version__}")
+        parser.exit()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -110,7 +119,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="rhl", allow_abbrev=False, description="Receding horizon learning, the companion of arXiv 2010.05891."
     )
-    parser.add_argument("--version", action="version", version=f"rhl {__version__}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show program's version number and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     rows = "write the run's rows to this file; - prints them"
@@ -230,6 +239,7 @@ def _cases(text: str) -> int:
 def _reproduce(options: argparse.Namespace) -> int:
     from rich.table import Table
 
+    from rhl.app._run import write
     from rhl.paper import published
 
     _check_targets(options)
@@ -244,14 +254,14 @@ def _reproduce(options: argparse.Namespace) -> int:
     for row in rows:
         tolerance = "none" if row.tolerance is None else f"{row.tolerance:g}"
         table.add_row(row.signal, str(row.samples), f"{row.largest:.3g}", str(row.at), tolerance, row.verdict)
-    _write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
+    write(options, trace, lambda: _paper_figures().reproduction(trace, options.experiment))
     print_table(table, 110, words_of(options))
     return MISSED if any(row.verdict == "missed" for row in rows) else OK
 
 
 def _run(options: argparse.Namespace) -> int:
     from rhl._files import header
-    from rhl.app._run import watched
+    from rhl.app._run import watched, write
     from rhl.app.config import load
 
     experiment = load(options.config).experiment(allow_python=options.allow_python)
@@ -260,7 +270,7 @@ def _run(options: argparse.Namespace) -> int:
     rows, output = len(trace or ()), options.output
     kept = f"the {rows} rows before it are in {named(output)}"
     if trace:
-        _write(options, trace, lambda: _figures().run(trace, experiment.name))
+        write(options, trace, lambda: _figures().run(trace, experiment.name))
     elif output is not STDOUT and output.is_file():
         kept = f"there is no row before it, and {named(output)} is unchanged"  # with --force
     else:
@@ -313,8 +323,9 @@ def _new(options: argparse.Namespace) -> int:
     _check_targets(options)
     text = template(stem) if options.source is None else published(stem, options.source)
     deliver(options.output, text, options.force)
-    call = f"rhl run {quote(str(options.output))} --output {quote(f'{name}.csv')} --plot {quote(f'{name}.svg')}"
-    print(printable(f"{options.output} is ready to run: {call}"))
+    here = "./" if name.startswith("-") else ""  # the printed command would take the name for an option
+    file, table, figure = (quote(f"{here}{path}") for path in (options.output, f"{name}.csv", f"{name}.svg"))
+    print(printable(f"{here}{options.output} is ready to run: rhl run {file} --output {table} --plot {figure}"))
     return OK
 
 
@@ -367,29 +378,6 @@ def _paper_figures() -> ModuleType:
     from rhl.paper import figures
 
     return figures
-
-
-def _write(options: argparse.Namespace, trace: Trace, draw: Callable[[], Figure]) -> None:
-    """Write the rows and the figure; if one of them cannot be written, the other is removed too."""
-    from rhl._files import table_text
-
-    results: list[tuple[Path, str | bytes]] = []
-    if options.plot:
-        results.append((options.plot, _figures().render(draw, options.plot)))
-    if options.output:
-        # Printed rows cannot be removed again, so they come last.
-        results.insert(len(results) if options.output is STDOUT else 0, (options.output, table_text(trace.columns())))
-    made: list[Path] = []
-    for path, content in results:
-        fresh = path is not STDOUT and not path.exists()
-        try:
-            deliver(path, content, options.force)
-        except InputError:
-            for file in made:
-                file.unlink(missing_ok=True)
-            raise
-        if fresh:
-            made.append(path.resolve())
 
 
 def _check_targets(options: argparse.Namespace) -> None:

@@ -55,7 +55,7 @@ class Config(Section):
     name = key("{}, the name of the run, without control characters", LINE)
     steps = key(
         "{}, the number of rows k = 0 .. steps-1; a run is refused if it needs more than 2 GB for the estimates of all "
-        "steps, for a window or for a plan",
+        "steps, for the table, for a window or for a plan",
         COUNT,
     )
     order = key(
@@ -112,7 +112,7 @@ class Config(Section):
             sensor, actuator = simulation.sensor(plant.p), simulation.actuator(plant.q)
             load = simulation.disturbance(plant.q)
         scheme = self._scheme(plant, actuator)
-        _limits.fits(scheme, self.steps)
+        _limits.fits(scheme, self.steps, plant.n)
         return Experiment(
             self.name, plant, z0, scheme, self.steps, sensor, actuator, simulation.applied_known, load=load
         )

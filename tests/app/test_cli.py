@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rhl import _files
+from rhl import _files, plotting
 from rhl.app import _status, cli
 from rhl.app._status import STOPPED
 from rhl.app.config import schema
@@ -203,6 +203,37 @@ def test_rows_do_not_stay_where_the_figure_fails(config, tmp_path, monkeypatch, 
     call = ["run", str(config()), "--output", str(table), "--plot", str(tmp_path / "f.svg")]
     assert cli.main(call) == _status.BAD_INPUT
     assert not table.exists()
+
+
+@pytest.mark.parametrize("output", ["t.csv", "-"])
+@pytest.mark.parametrize("error", [ValueError("no such scale"), OverflowError("too large"), KeyboardInterrupt()])
+def test_a_run_that_cannot_be_drawn_keeps_its_rows(config, tmp_path, capsys, monkeypatch, error, output):
+    def failing(*_):
+        raise error
+
+    monkeypatch.chdir(tmp_path)
+    call = ["run", str(config()), "--output", output, "--plot", "f.svg"]
+    with monkeypatch.context() as broken:
+        broken.setattr(plotting, "render", failing)
+        interrupted = isinstance(error, KeyboardInterrupt)
+        assert cli.main(call) == (_status.INTERRUPTED if interrupted else _status.BAD_INPUT)
+    streams = capsys.readouterr()
+    where = "standard output" if output == "-" else output
+    says = f"--plot must be of a run that can be drawn, got {type(error).__name__}: {error}; the rows are in {where}"
+    assert streams.err == f"rhl: {'interrupted' if interrupted else says}\n"
+    text = streams.out if output == "-" else Path(output).read_text(encoding="utf-8")
+    assert len(text.splitlines()) == 43
+    assert not Path("f.svg").exists()
+    assert cli.main([*call, "--force"]) == 0
+    assert Path("f.svg").exists()
+
+
+def test_a_run_of_zeros_is_drawn(config, tmp_path):
+    table, figure = tmp_path / "t.csv", tmp_path / "f.svg"
+    at_rest = config(("z0 = [0.1, 0.1, -10]", "z0 = [0, 0, 0]"))
+    assert cli.main(["run", str(at_rest), "--output", str(table), "--plot", str(figure)]) == 0
+    assert figure.exists()
+    assert len(rows_of(table)) == 42
 
 
 @pytest.mark.parametrize(

@@ -272,6 +272,14 @@ def test_files_that_are_no_configuration(tmp_path, content, sentence):
         load(path)
 
 
+def test_a_name_that_would_fill_the_screen():
+    name = LINEAR.partition('"')[2].partition('"')[0]
+    assert read(LINEAR.replace(name, "x" * 255, 1)).name == "x" * 255
+    wanted = r"^name must be a string of at most 255 characters, the name of the run, .*, got 'x{56}\.\.\.$"
+    with pytest.raises(InputError, match=wanted):
+        read(LINEAR.replace(name, "x" * 256, 1))
+
+
 def test_files_that_cannot_be_read(tmp_path):
     for path in (tmp_path / "missing.toml", tmp_path):
         with pytest.raises(InputError, match="must be a readable TOML file, got: "):

@@ -139,6 +139,18 @@ def test_a_folder_of_control_characters_is_shown_escaped(folder, capsys):
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "printed"), [("-x", "./-x"), ("x", "x"), ("there/-x", "there/-x"), ("-x.toml", "./-x")]
+)
+def test_the_printed_command_works(folder, capsys, name, printed):
+    Path("there").mkdir()
+    assert cli.main(["new", "--", name]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith(f"{printed}.toml is ready to run: rhl run {printed}.toml --output {printed}.csv --plot ")
+    assert cli.main(said.partition(": rhl ")[2].split()) == 0
+    assert Path(f"{printed}.svg").exists()
+
+
 def test_a_file_of_that_name_is_no_stream():
     assert [target_name(text) is STDOUT for text in ("-", "/dev/stdout", "./-", "/dev/null")] == [
         *(True, True, False, False)
@@ -316,6 +328,30 @@ def test_columns_say_how_wide_a_table_is(folder, capsys, monkeypatch):
     for asked in (90, 200):
         monkeypatch.setenv("COLUMNS", str(asked))
         assert width() == asked
+
+
+@pytest.mark.parametrize("asked", ["0", "²", "٣", "-5", "abc", "1000000000", ""])
+def test_columns_that_are_no_number_of_columns_do_not_count(folder, capsys, monkeypatch, asked):
+    def width():
+        assert cli.main(["check", "run.toml"]) == 0
+        return max(map(len, capsys.readouterr().out.splitlines()))
+
+    for columns, lines, wanted in ((asked, "25", 140), (asked, "²", 140), ("90", "²", 90)):
+        monkeypatch.setenv("COLUMNS", columns)
+        monkeypatch.setenv("LINES", lines)
+        assert width() == wanted
+
+
+@pytest.mark.parametrize("call", ["--version", "--help", "campaign --help"])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_help_that_cannot_be_printed_is_an_error(folder, call, unbuffered):
+    """Without a buffer argparse itself meets the error, and says nothing of it."""
+    says = "rhl: the table must be written to standard output, got: No space left on device\n"
+    assert shell(f"{RHL} {call} > /dev/full", PYTHONUNBUFFERED=unbuffered) == (2, "", says)
+    status, out, err = shell(f"{RHL} {call}", PYTHONUNBUFFERED=unbuffered)
+    assert (status, err) == (0, "")
+    assert out.startswith("rhl " if call == "--version" else "usage: rhl ")
+    assert shell(f"{RHL} {call} | true", PYTHONUNBUFFERED=unbuffered)[2] == ""
 
 
 def test_a_message_that_cannot_be_written_leaves_the_exit_status(tmp_path):
