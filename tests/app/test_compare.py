@@ -18,7 +18,7 @@ from rhl.study.compare import Score, compare
 def test_scores_of_one_plant(capsys):
     assert main(["compare", "toy", "--steps", "60"]) == 0
     out = capsys.readouterr().out
-    assert "1 plants, 60 steps, no noise, no input bounds" in out
+    assert "1 plant, 60 steps, no noise, no input bounds" in out
     assert "known-plant: 1 of 1 at rest, 1 of them with a peak below 100; median cost 1, " in out
     assert "excite-identify" in out
 
@@ -35,7 +35,7 @@ def test_several_seeds_levels_and_methods(capsys):
 
 def test_bounded_inputs(capsys):
     assert main(["compare", "dc-motor", "--steps", "60", "--bounded", "--method", "default_scheme"]) == 0
-    assert "1 plants, 60 steps, no noise, inputs at most 3 times the regulator's" in capsys.readouterr().out
+    assert "1 plant, 60 steps, no noise, inputs at most 3 times the regulator's" in capsys.readouterr().out
 
 
 def test_a_collection(capsys, monkeypatch):
@@ -68,7 +68,7 @@ def test_rows(tmp_path, monkeypatch, capsys):
     assert main([*call, "-"]) == 0
     said = capsys.readouterr()
     assert read(said.out)[0]["cost"] == rows[0]["cost"]
-    assert "1 plants, 60 steps, noise 0.01, no input bounds" in said.err
+    assert "1 plant, 60 steps, noise 0.01, no input bounds" in said.err
 
 
 def test_what_is_missing_is_empty_and_what_diverged_infinite():
