@@ -1,11 +1,14 @@
 """Benchmark plants against an exponential of fifty digits, and the scheme that runs on them."""
 
+import json
+
 import mpmath
 import numpy as np
 import pytest
 
 from rhl import InputError, default_scheme, simulate
 from rhl.plants.benchmarks import Benchmark, benchmark, names
+from tests.plants.literature import RECORD, numbers
 
 COMPLEIB, LITERATURE = names(collection="compleib"), names(collection="literature")
 
@@ -16,6 +19,17 @@ def test_there_are_two_collections():
     assert len(LITERATURE) == 17
     assert names() == COMPLEIB + LITERATURE
     assert set(names(10, "literature")) == set(LITERATURE) - {"wood-berry"}
+
+
+KEPT = json.loads(RECORD.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", LITERATURE)
+def test_the_numbers_of_the_literature_are_on_record(name):
+    assert set(KEPT) == set(LITERATURE)
+    for part, found in numbers(name).items():
+        assert np.allclose(found, KEPT[name][part], rtol=1e-12, atol=0)
+    assert not any(array.flags.writeable for array in (benchmark(name).A, benchmark(name).B, benchmark(name).C))
 
 
 # Not stabilizable: the input does not reach the mode exp(0.1 * 0.6065), so no controller brings it to rest.
