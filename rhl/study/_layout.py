@@ -31,7 +31,7 @@ _LABELS = re.compile("[<>]U[1-9][0-9]{0,6}")
 _KEYS = {"shape", "chunks", "dtype", "fill_value", "order", "filters", "compressor", "zarr_format"}
 _CODECS = {"blosclz", "lz4", "lz4hc", "snappy", "zlib", "zstd"}
 # The header of a chunk that blosc has packed: bytes 4 to 8 hold its size unpacked, bytes 12 to 16 its size packed,
-# which is larger than unpacked by the header at most.
+# which is larger by the header at most.
 _HEADER = 16
 
 
@@ -70,9 +70,10 @@ def files(folder: Path) -> None:
         places = [folder / MARKERS] if MARKERS in entries else []
         if DATA in entries:
             within = _plain_folder(data)
-            places += [data / name for name, kind in within.items() if stat.S_ISDIR(kind)]
+            folders = [name for name, kind in within.items() if stat.S_ISDIR(kind) and not name.startswith(".")]
+            places += [data / name for name in folders]
             for name, kind in within.items():
-                if not stat.S_ISDIR(kind):
+                if name not in folders:
                     _plain(data / name, kind, stat.S_ISREG, "file")
         for place in places:
             for name, kind in _plain_folder(place).items():
@@ -104,7 +105,7 @@ def sizes(folder: Path, *, whole: bool) -> Sizes:
     """Return the sizes of a store whose metadata are as this library writes them; otherwise InputError.
 
     zarr and xarray would otherwise obey what they read: codecs such as pickle run code, a few bytes of metadata or of
-    a chunk promise any number of entries, and attributes change types. Chunks that are too large are refused too:
+    a chunk promise any number of entries, and attributes change types. Chunks that are not whole are refused too:
     those of results only if the store is to be read ``whole``, since a task whose data are wrong is done again.
     """
     data = folder / DATA
@@ -315,13 +316,14 @@ def _chunks(folder: Path, array: Mapping[str, Any]) -> None:
 
 
 def chunk_fault(file: Path, size: int) -> str:
-    """Return why a file would take more memory than its chunk of ``size`` bytes when it is read; "" if it would not.
+    """Return why a file is not a whole chunk of ``size`` bytes as its header has it; "" if it is one.
 
-    One that did not arrive whole takes less, and does not unpack.
+    The library that unpacks it would believe the header, whatever the file's length.
     """
     length = file.stat().st_size
-    if length > size + _HEADER:
-        return f"of {length} bytes for a chunk of {size}"
     with file.open("rb") as opened:
-        promised = int.from_bytes(opened.read(8)[4:], "little")
-    return f"that unpacks to {promised} bytes for a chunk of {size}" if promised > size else ""
+        header = opened.read(_HEADER)
+    unpacked, packed = (int.from_bytes(header[at : at + 4], "little") for at in (4, 12))
+    if length < _HEADER or length != packed or length > size + _HEADER:
+        return f"of {length} bytes, not the {packed} of its header, for a chunk of {size}"
+    return f"that unpacks to {unpacked} bytes for a chunk of {size}" if unpacked != size else ""

@@ -276,9 +276,9 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
             for name, variable in found.variables.items():  # noqa: B007 - the error names it
                 variable.load()
                 if variable.dtype.kind in "UO":
-                    variable.values.tolist()  # ValueError if an entry is not a character
+                    "".join(variable.values.tolist()).encode()  # ValueError if an entry is no text
             return found.load()
-    except (OSError, ValueError, RuntimeError) as error:  # what zarr and its codecs raise for a damaged chunk
+    except (OSError, ValueError, RuntimeError, SystemError) as error:  # of zarr, its codecs, and numpy about characters
         raise InputError(
             f"{shown(folder)} must hold whole chunks, got {name}: {reason(error)}; {_layout.AGAIN}"
         ) from error
