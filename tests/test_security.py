@@ -271,6 +271,14 @@ CAMPAIGN = {
             "schemes must stack",
         ),
         (
+            {"schemes": [{"base": "window", "window": 100_000.0}], "plants": {"count": 250}},
+            r"^schemes\.window must be such that a task holds at most 250000000 numbers, got 200000 transitions for",
+        ),
+        (
+            {"schemes": [{"base": "default", "horizon": 10_000}], "plants": {"count": 250, "n": 100, "p": 10, "q": 10}},
+            r"^schemes\.horizon must be such that a task holds at most 250000000 numbers, got 10000 steps for each of",
+        ),
+        (
             {"schemes": [{"base": "default", "R": [1.0] * 40, "weight": [1.0] * 40}]},
             "schemes must be at most 1000, got",
         ),

@@ -30,7 +30,8 @@ class _Help(argparse.Action):
         print(parser.format_help())
         print("keys of CONFIG.toml:")
         for name, what in keys():
-            print(textwrap.fill(f"{name}: {what}", 110, initial_indent="  ", subsequent_indent="      "))
+            told = textwrap.TextWrapper(110, initial_indent="  ", subsequent_indent="      ", break_on_hyphens=False)
+            print(told.fill(f"{name}: {what}"))
         parser.exit()
 
 
