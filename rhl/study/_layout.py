@@ -27,7 +27,7 @@ _TOGETHER, _ARRAY, _ATTRIBUTES, _GROUP = ".zmetadata", ".zarray", ".zattrs", ".z
 AGAIN = "resume the campaign, which computes damaged results again"
 _ANEW = "copy the folder again, or start the campaign again in another one"
 _COORDINATES = ("scheme", "plant", "name")
-_LABELS = re.compile("[<>]U[1-9][0-9]{0,6}")
+_LABELS = re.compile("[<>]U[1-9][0-9]{0,4}")
 _KEYS = {"shape", "chunks", "dtype", "fill_value", "order", "filters", "compressor", "zarr_format"}
 _CODECS = {"blosclz", "lz4", "lz4hc", "snappy", "zlib", "zstd"}
 # The header of a chunk that blosc has packed: bytes 4 to 8 hold its size unpacked, bytes 12 to 16 its size packed,

@@ -275,8 +275,8 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
         with xr.open_zarr(folder / DATA, chunks=None, consolidated=True, zarr_format=2) as found:
             for name, variable in found.variables.items():  # noqa: B007 - the error names it
                 variable.load()
-                if variable.dtype.kind in "UO":
-                    "".join(variable.values.tolist()).encode()  # ValueError if an entry is no text
+                for label in variable.values if variable.dtype.kind in "UO" else ():
+                    str(label).encode()  # ValueError if it is no text
             return found.load()
     except (OSError, ValueError, RuntimeError, SystemError) as error:  # of zarr, its codecs, and numpy about characters
         raise InputError(

@@ -173,6 +173,40 @@ def test_stopped(folder, capsys, monkeypatch, error, says):
     assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
 
 
+@pytest.mark.parametrize("name", ["done", "lock"])
+def test_a_folder_that_takes_nothing(folder, capsys, monkeypatch, name):
+    """Neither the folder of the markers nor the lock."""
+    assert main(["campaign", "c.toml", "--output", "a"]) == 0
+    said(capsys)
+
+    def fail(path, original, *arguments, **named):
+        if path.name == name:
+            raise PermissionError(13, "Permission denied")
+        return original(path, *arguments, **named)
+
+    for method in ("mkdir", "open"):
+        original = getattr(Path, method)
+        monkeypatch.setattr(Path, method, lambda path, *rest, to=original, **named: fail(path, to, *rest, **named))
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 2
+    assert said(capsys) == ("", "rhl: a must take the results, got: Permission denied\n")
+
+
+def test_a_folder_that_is_harmed(folder, capsys):
+    """Damaged results are computed again; what no campaign writes is refused before anything is computed."""
+    assert main(["campaign", "c.toml", "--output", "a"]) == 0
+    out, _ = said(capsys)
+    Path("a/results.zarr/peak/0.0").write_bytes(b"nonsense")
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
+    assert said(capsys)[0] == out
+    Path("a/results.zarr/.zgroup").unlink()
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 2
+    assert said(capsys) == (
+        "",
+        "rhl: a must hold a campaign's results.zarr, got no .zgroup; copy the folder again, or start the campaign "
+        "again in another one\n",
+    )
+
+
 @pytest.mark.parametrize("package", ["zarr", "xarray", "dask"])
 def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
     original = builtins.__import__
