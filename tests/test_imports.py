@@ -128,7 +128,15 @@ PAPER = [
     "paper.watch",
     "paper.explored",
 ]
-CAMPAIGNS = ["study.ensembles", "study.choices", "study.campaign", "study.store", "study.backends", "study.shipped"]
+CAMPAIGNS = [
+    "study.ensembles",
+    "study.choices",
+    "study.campaign",
+    "study._layout",
+    "study.store",
+    "study.backends",
+    "study.shipped",
+]
 STUDY = [
     "study",
     "study.rivals",

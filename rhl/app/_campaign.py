@@ -7,6 +7,7 @@ import logging
 import shlex
 import sys
 import textwrap
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 # The rest is imported when the command runs, so that help and refusals do not wait for it.
@@ -30,7 +31,8 @@ class _Help(argparse.Action):
         print(parser.format_help())
         print("keys of CONFIG.toml:")
         for name, what in keys():
-            print(textwrap.fill(f"{name}: {what}", 110, initial_indent="  ", subsequent_indent="      "))
+            told = textwrap.TextWrapper(110, initial_indent="  ", subsequent_indent="      ", break_on_hyphens=False)
+            print(told.fill(f"{name}: {what}"))
         parser.exit()
 
 
@@ -74,13 +76,15 @@ def _campaign(options: argparse.Namespace) -> int:
     campaign = file.campaign()
     backend = _backend(options)
     again = shlex.join(["rhl", "campaign", str(options.config), "--output", str(options.output), "--resume"])
-    try:
-        store = _store(options, campaign, text, settings)
-    except StoreError as error:
-        complain(str(error))
-        return BAD_INPUT
-    tasks, done = len(list(campaign.tasks())), 0
-    with store.held(), progress(file.name, tasks) as show:
+    with ExitStack() as held:
+        try:
+            store = _store(options, campaign, text, settings)
+            held.enter_context(store.held())
+        except StoreError as error:
+            complain(str(error))
+            return BAD_INPUT
+        tasks, done = len(list(campaign.tasks())), 0
+        show = held.enter_context(progress(file.name, tasks))
 
         def tick(count: int) -> None:
             nonlocal done

@@ -16,6 +16,7 @@ from rhl.app._keys import (
     POSITIVE,
     SIZE,
     TEXT,
+    Kind,
     Section,
     integer,
     key,
@@ -30,8 +31,18 @@ from rhl.study.ensembles import BenchmarkPlants, Ensemble, RandomPlants
 
 _SIZES = list_of(SIZE)
 _NUMBER: dict[str, Any] = {"type": "number"}
-_PAIR = list_of(_NUMBER)
 _FACTOR = _NUMBER | {"minimum": 1, "maximum": 100}
+# The upper limits are far above any use; they keep the entries of plants and signals in the range of float64.
+_RADII = list_of({**POSITIVE, "maximum": 1e100})
+_RATES = list_of(_NUMBER | {"minimum": -1e6, "maximum": 1e6})
+_SECONDS: Kind = {**POSITIVE, "maximum": 1e9}
+_CONDITION = _NUMBER | {"minimum": 1, "maximum": 1e100}
+_DECADES: Kind = {**NOT_NEGATIVE, "maximum": 100}
+_NOISE: Kind = {**NOT_NEGATIVE, "maximum": 1e100}
+_WINDOW: Kind = {**POSITIVE, "maximum": 100_000}
+# With a growth of this many powers of e from sample to sample, entries reach about 1e100.
+_GROWTH = 230
+_LABEL: Kind = {**LINE, "pattern": LINE["pattern"].replace("]*$", "]{0,200}$")}
 
 
 def _swept(what: str, kind: Any, default: Any = None) -> Any:
@@ -52,9 +63,9 @@ class RandomSection(Section):
     p = key("{}, the number of outputs, or a list of such", SIZE, _SIZES, default=1)
     q = key("{}, the number of inputs, or a list of such", SIZE, _SIZES, default=1)
     radius = key(
-        "a list of two positive numbers: the lowest and the highest spectral radius of the modes that are "
-        "not hidden, uniform in between",
-        _PAIR,
+        "a list of two positive numbers of at most 1e100: the lowest and the highest spectral radius of the modes that "
+        "are not hidden, uniform in between",
+        _RADII,
         default=[0.5, 1.2],
     )
     hidden = key(
@@ -63,16 +74,16 @@ class RandomSection(Section):
         default=0,
     )
     conditioning = key(
-        "{} of at least 1, the largest condition number of the states' coordinates, log-uniform up to it",
-        POSITIVE,
+        "a number from 1 to 1e100, the largest condition number of the states' coordinates, log-uniform up to it",
+        _CONDITION,
         default=1.0,
     )
     output_decades = key(
-        "{}: each output is multiplied by ten to a power uniform between minus and plus this",
-        NOT_NEGATIVE,
+        "a number from 0 to 100: each output is multiplied by ten to a power uniform between minus and plus this",
+        _DECADES,
         default=0.0,
     )
-    input_decades = key("{}: the same for each input's effect", NOT_NEGATIVE, default=0.0)
+    input_decades = key("a number from 0 to 100: the same for each input's effect", _DECADES, default=0.0)
 
     def plants(self, seed: int) -> Ensemble:
         return RandomPlants(seed, self.count, radius=_pair("radius", self.radius), **_shared(self))
@@ -91,18 +102,29 @@ class SampledSection(Section):
     count = key("{}, how many plants for each combination of the sizes and sampling", integer(1, 10_000_000))
     n, p, q = (RandomSection.keys()[name] for name in ("n", "p", "q"))
     growth = key(
-        "a list of two numbers: the lowest and the highest rate of growth in 1/s, the largest real part of the "
-        "eigenvalues that are not hidden, uniform in between",
-        _PAIR,
+        "a list of two numbers from -1e6 to 1e6: the lowest and the highest rate of growth in 1/s, the largest real "
+        "part of the eigenvalues that are not hidden, uniform in between",
+        _RATES,
         default=[-0.5, 0.5],
     )
-    sampling = key("{}, the seconds between samples, or a list of such", POSITIVE, list_of(POSITIVE), default=0.1)
+    sampling = key(
+        "a positive number of at most 1e9, the seconds between samples, or a list of such",
+        _SECONDS,
+        list_of(_SECONDS),
+        default=0.1,
+    )
     hidden, conditioning, output_decades, input_decades = (
         RandomSection.keys()[name] for name in ("hidden", "conditioning", "output_decades", "input_decades")
     )
 
     def plants(self, seed: int) -> Ensemble:
         growth, sampling = _pair("growth", self.growth), tuple(_each(self.sampling))
+        longest = max(sampling, default=0.0)
+        if growth[1] * longest > _GROWTH:
+            raise InputError(
+                f"sampling must be at most {_GROWTH} / the highest growth, got {longest:g} and growth {growth[1]:g}; "
+                "sample faster, or lower growth"
+            )
         return RandomPlants(seed, self.count, growth=growth, sampling=sampling, **_shared(self))
 
 
@@ -111,7 +133,12 @@ class BenchmarkSection(Section):
 
     kind = key('"benchmarks"')
     names = key("a list of names such as ac1; all up to order ten if left out", list_of(TEXT), default=[])
-    sampling = key("{}, the seconds between samples, or a list of such", POSITIVE, list_of(POSITIVE), default=0.1)
+    sampling = key(
+        "a positive number of at most 1e9, the seconds between samples, or a list of such",
+        _SECONDS,
+        list_of(_SECONDS),
+        default=0.1,
+    )
 
     def plants(self, seed: int) -> Ensemble:
         return BenchmarkPlants(tuple(self.names), tuple(_each(self.sampling)), seed)
@@ -121,7 +148,11 @@ class SchemeSection(Section):
     """[[schemes]], one for each scheme: where settings are lists, one for each combination of their entries."""
 
     base = key('"default" or "window": rhl.default_scheme or rhl.window_scheme')
-    label = key("{}, its name in the results; if left out, base and the given settings", LINE, default=None)
+    label = key(
+        "{} of at most 200 characters, its name in the results; if left out, base and the given settings",
+        _LABEL,
+        default=None,
+    )
     order_factor = _swept(
         "a number from 1 to 100: the scheme's order is the bound on the observability index times this, rounded up",
         _FACTOR,
@@ -138,7 +169,10 @@ class SchemeSection(Section):
         "must be false)",
         default=None,
     )
-    window = _swept("{}, the number of transitions in a window, in multiples of the scheme's order", POSITIVE)
+    window = _swept(
+        "a positive number of at most 100000, the number of transitions in a window in multiples of the scheme's order",
+        _WINDOW,
+    )
     units = key("{}: that the default scheme's weights count signals in running units", FLAG, default=None)
 
     def count(self) -> int:
@@ -169,8 +203,9 @@ class CampaignFile(Section):
     seed = key("{}, from which plants and errors are drawn", integer(0, 2**32 - 1))
     steps = key("{}, the number of rows k = 0 .. steps-1 of each run", integer(20, 100_000), default=200)
     noise = key(
-        "{}, the standard deviation of the sensors' normal errors, relative to the largest of y(0)",
-        NOT_NEGATIVE,
+        "a number from 0 to 1e100, the standard deviation of the sensors' normal errors, relative to the largest of "
+        "y(0)",
+        _NOISE,
         default=0.0,
     )
     input_bound = key("{}: inputs are clipped to plus and minus this; no bound if left out", POSITIVE, default=None)

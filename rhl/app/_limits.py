@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import ceil
 
+from rhl._lanes import LANES
 from rhl.controllability import LambdaSearch
 from rhl.errors import InputError
 from rhl.scheme import Scheme
@@ -74,8 +75,12 @@ def campaign(plants: Ensemble, choices: Sequence[Choice], steps: int, chunk: int
     ):
         if found > most:
             raise InputError(f"plants.count must be such that there are at most {most} {what}, got {found}; {remedy}")
+    try:
+        sizes = sorted(plants.sizes())
+    except InputError as error:
+        raise InputError(f"plants.{error}") from None
     factor = max(one.order_factor for one in choices)
-    for p, q, bound in sorted(plants.sizes()):
+    for p, q, bound in sizes:
         order = ceil(bound * factor)
         if order * max(p, q) > ENTRIES:
             raise InputError(
@@ -83,9 +88,39 @@ def campaign(plants: Ensemble, choices: Sequence[Choice], steps: int, chunk: int
                 "order_factor, n, p or q"
             )
         # The signals of a task, with a state of at most bound p entries, and for each plant the triangle of its data.
-        count = chunk * (steps * (2 * p + 2 * q + bound * p) + 2 * (order * (p + q)) ** 2)
-        if count > NUMBERS:
-            raise InputError(
-                f"chunk must be such that a task holds at most {NUMBERS} numbers, got {chunk} plants and {count} "
-                "numbers; make it smaller, or run fewer steps"
-            )
+        own = chunk * (steps * (2 * p + 2 * q + bound * p) + 2 * (order * (p + q)) ** 2)
+        for one in _distinct(choices):
+            _fits_task(one.scheme(p, q, bound), own, chunk)
+
+
+def _distinct(choices: Sequence[Choice]) -> list[Choice]:
+    """Return a choice of each kind that differs in the sizes of its scheme."""
+    return list({(one.base, one.order_factor, one.memory, one.window, one.horizon): one for one in choices}.values())
+
+
+def _fits_task(scheme: Scheme, own: int, chunk: int) -> None:
+    """Refuse a task that needs too much memory, ``own`` numbers of which are not of windows and plans."""
+    model, q, horizon = scheme.initial_model, scheme.q, scheme.controller.horizon
+    window, d, lanes = getattr(scheme.estimator, "window", 0), model.n + model.q, min(chunk, LANES)
+    parts = [
+        (own, "chunk", f"{chunk} plants", "make it smaller, or run fewer steps"),
+        # Each plant keeps its window; the rows to be fitted and the gains of plans are those of some plants at a time.
+        (
+            (chunk + 4 * lanes) * window * d,
+            "schemes.window",
+            f"{window} transitions for each of {chunk} plants",
+            "make it or chunk smaller",
+        ),
+        (
+            2 * lanes * horizon * (q + 1) * (d + q),
+            "schemes.horizon",
+            f"{horizon} steps for each of {lanes} plants",
+            "make it, chunk or the schemes' order smaller",
+        ),
+    ]
+    count = sum(part[0] for part in parts)
+    if count > NUMBERS:
+        _, key, given, remedy = max(parts)
+        raise InputError(
+            f"{key} must be such that a task holds at most {NUMBERS} numbers, got {given} and {count} numbers; {remedy}"
+        )

@@ -17,6 +17,8 @@ from rhl.scheme import Scheme, default_scheme, window_scheme
 from rhl.units import RunningUnits
 
 Base = Literal["default", "window"]
+# The longest window, in multiples of the scheme's order: the steps of the longest run.
+_LONGEST = 100_000
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Choice:
     memory : {"growing", "window"}, optional
         The fitted transitions: all measured ones, or those of a window.
     window : float, optional
-        The number of transitions in a window, in multiples of the scheme's order; 2 by default.
+        The number of transitions in a window, in multiples of the scheme's order, at most 100000; 2 by default.
     units : bool, optional
         Whether the default scheme's weights use running units.
 
@@ -72,6 +74,8 @@ class Choice:
         for name in ("inputs", "R", "eps_rate", "weight", "window"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
+        if self.window is not None and self.window > _LONGEST:
+            raise InputError(f"window must be at most {_LONGEST}, got {self.window:g}")
         if self.base == "window":
             for name in ("inputs", "units"):
                 if getattr(self, name) is not None:

@@ -311,7 +311,12 @@ class BenchmarkPlants:
         """Return plant i; InputError if there is none, or it does not stay finite between samples."""
         name, h = self._where(i)
         found = benchmark(name)
-        plant = found.sampled(h)
+        try:
+            plant = found.sampled(h)
+        except InputError:
+            raise InputError(
+                f"sampling must be short enough for {name} to stay finite from sample to sample, got {h:g}"
+            ) from None
         return Drawn(plant.F, plant.G, plant.H, found.z0, found.order(h), h)
 
 

@@ -7,14 +7,12 @@ import hashlib
 import json
 import os
 import platform
-import re
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
-from math import prod
 from pathlib import Path
 from shutil import rmtree
 from typing import TYPE_CHECKING, Any
@@ -22,19 +20,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import rhl
-from rhl._checks import describe, shown
+from rhl._checks import describe, reason, shown
 from rhl._files import write_whole
 from rhl.errors import InputError, RHLError
+from rhl.study import _layout
+from rhl.study._layout import DATA, LOCK, MARKERS, PROVENANCE
 from rhl.study.campaign import PLANT_VARIABLES, RUN_VARIABLES, Campaign, Task
 
 if TYPE_CHECKING:
     import xarray as xr
 
-_DATA, _PROVENANCE, _MARKERS, _LOCK = "results.zarr", "provenance.json", "done", "lock"
 _SOURCES = Path(rhl.__file__).parent
-# The largest store that is loaded, in bytes; a campaign's largest has about 1 GB. The largest provenance.
-_LARGEST, _LONGEST = 2_000_000_000, 20_000_000
-_PLAIN = re.compile("[|<>]([biufU])([0-9]{1,5})")
+# The length of a marker, which holds a digest.
+_MARKER = 64
 
 
 def versions() -> dict[str, str]:
@@ -98,7 +96,8 @@ class Store:
         """Create a new folder without completed tasks.
 
         ``configuration`` is stored unchanged, and ``settings``, JSON data, is what ``resume`` compares.
-        InputError if the folder exists or cannot be created. StoreError if the store cannot be written.
+        InputError if the folder exists or cannot be created, or the campaign is larger than what ``load`` reads.
+        StoreError if the store cannot be written.
         """
         folder = Path(path)
         try:
@@ -112,10 +111,11 @@ class Store:
             raise InputError(f"--output must name a folder that can be created, got {shown(path)}: {why}") from None
         provenance = {"versions": versions(), "settings": settings, "configuration": configuration}
         try:
-            (folder / _MARKERS).mkdir()
-            _template(campaign, provenance).to_zarr(folder / _DATA, compute=False, consolidated=True, zarr_format=2)
+            (folder / MARKERS).mkdir()
+            _template(campaign, provenance).to_zarr(folder / DATA, compute=False, consolidated=True, zarr_format=2)
+            _layout.sizes(folder, whole=True)  # what is written can be read again
             # Written last, since a folder without it is not a campaign's.
-            (folder / _PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
+            (folder / PROVENANCE).write_text(json.dumps(provenance, indent=1) + "\n", encoding="utf-8")
         except BaseException as error:
             rmtree(folder, ignore_errors=True)
             if isinstance(error, OSError):
@@ -125,17 +125,22 @@ class Store:
 
     @classmethod
     def resume(cls, path: str | os.PathLike[str], campaign: Campaign, settings: Any) -> Store:
-        """Open a folder to continue; InputError if it is not a campaign's, or settings or versions have changed."""
+        """Open a folder to continue; InputError if it is not a campaign's, or settings or versions have changed.
+
+        As ``load``, it takes a folder from a stranger; StoreError if that cannot be written.
+        """
         folder = Path(path)
+        if folder.is_dir():
+            _layout.files(folder)
         try:
-            before = _read_json(folder / _PROVENANCE)
+            before = _layout.read_json(folder / PROVENANCE)
             if not isinstance(before, dict) or not {"settings", "versions"} <= set(before):
                 raise ValueError
-        except (OSError, ValueError, RecursionError) as error:
+        except (OSError, ValueError) as error:
             why = getattr(error, "strerror", None) or "invalid JSON"
             anew = "remove the folder and start again" if folder.exists() else "leave it out to start"
             raise InputError(
-                f"--resume must find a campaign in {shown(path)}, got {_PROVENANCE}: {why}; {anew}"
+                f"--resume must find a campaign in {shown(path)}, got {PROVENANCE}: {why}; {anew}"
             ) from None
         for what, now, then in (
             ("the configuration", settings, before["settings"]),
@@ -146,18 +151,34 @@ class Store:
                     f"--resume must find {what} as at the campaign's start, got {name} = {describe(mine)}, which was "
                     f"{describe(theirs)}; start again in another folder"
                 )
-        _trusted(folder)
+        found = _layout.sizes(folder, whole=False)
+        plants = len(campaign.plants)
+        expected = _layout.Sizes(len(campaign.schemes), plants, min(campaign.chunk, plants))
+        if found != expected:
+            raise InputError(
+                f"{shown(folder)} must hold results of {expected}, as the configuration has, got {found}; "
+                "start again in another folder"
+            )
+        try:
+            (folder / MARKERS).mkdir(exist_ok=True)  # without markers, every task is done again
+        except OSError as error:
+            raise StoreError(folder, error) from error
         return cls(folder, campaign)
 
     @cached_property
     def _arrays(self) -> Any:
         import zarr
 
-        return zarr.open_group(self.path / _DATA, mode="r+", zarr_format=2)
+        return zarr.open_group(self.path / DATA, mode="r+", zarr_format=2)
 
     def _selection(self, task: Task) -> tuple[slice, ...]:
         plants = slice(task.first, task.stop)
         return (plants,) if task.scheme is None else (slice(task.scheme, task.scheme + 1), plants)
+
+    def _chunk(self, name: str, task: Task) -> Path:
+        """Return the file of a task's chunk."""
+        column = task.first // self.campaign.chunk
+        return self.path / DATA / name / (f"{column}" if task.scheme is None else f"{task.scheme}.{column}")
 
     def write(self, task: Task, found: Mapping[str, np.ndarray]) -> None:
         """Store a task's results, then its marker; StoreError if the disk is full.
@@ -170,8 +191,10 @@ class Store:
         at = self._selection(task)
         try:
             for name, values in found.items():
+                # The last chunk is longer than its task, so zarr would first read it, whatever it holds.
+                self._chunk(name, task).unlink(missing_ok=True)
                 self._arrays[name][at] = values.reshape(1, -1) if len(at) == 2 else values
-            write_whole(self.path / _MARKERS / task.name, _digest(found))
+            write_whole(self.path / MARKERS / task.name, _digest(found))
         except (OSError, InputError) as error:
             # The message of `write_whole` would name a file that the user did not name.
             cause = error if isinstance(error, OSError) else error.__cause__
@@ -184,19 +207,22 @@ class Store:
         return {task for task in self.campaign.tasks() if _undisturbed(self._is_done, task)}
 
     def _is_done(self, task: Task) -> bool:
-        try:
-            expected = (self.path / _MARKERS / task.name).read_text(encoding="ascii")
-        except (FileNotFoundError, ValueError):
-            return False
         variables, at = PLANT_VARIABLES if task.scheme is None else RUN_VARIABLES, self._selection(task)
+        length = min(self.campaign.chunk, len(self.campaign.plants))
         try:
+            with (self.path / MARKERS / task.name).open("rb") as marker:
+                expected = marker.read(_MARKER + 1).decode("ascii")
+            for name, about in variables.items():
+                file = self._chunk(name, task)
+                if file.exists() and _layout.chunk_fault(file, length * np.dtype(about.dtype).itemsize):
+                    return False
             # Some versions of xarray store truth values as integers.
             found = {
                 name: np.asarray(self._arrays[name][at]).reshape(-1).astype(about.dtype)
                 for name, about in variables.items()
             }
             return _digest(found) == expected
-        except (OSError, ValueError, RuntimeError):  # a truncated chunk does not unpack
+        except (OSError, ValueError, RuntimeError):  # no marker, or a truncated chunk, which does not unpack
             return False
 
     def dataset(self) -> xr.Dataset:
@@ -210,13 +236,20 @@ class Store:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Keep other processes from writing into the folder meanwhile; InputError if one does."""
+        """Keep other processes from writing into the folder meanwhile; InputError if one does.
+
+        StoreError if the folder does not take the lock.
+        """
         try:
             import fcntl
         except ImportError:  # a system without file locks
             yield
             return
-        with (self.path / _LOCK).open("a") as file:
+        try:
+            file = (self.path / LOCK).open("a")
+        except OSError as error:
+            raise StoreError(self.path, error) from error
+        with file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
@@ -231,64 +264,24 @@ def load(path: str | os.PathLike[str]) -> xr.Dataset:
     """Return the results in a campaign's folder as an xarray.Dataset, in memory.
 
     Dimensions are scheme and plant. For incomplete tasks, floats are NaN and integers zero. The folder may come from a
-    stranger: InputError if it is not a campaign's, holds links or objects, or is larger than a campaign's.
+    stranger: InputError if it holds anything that no campaign writes, is larger than a campaign's, or is damaged.
     """
     import xarray as xr
 
-    _trusted(Path(path))
-    with xr.open_zarr(Path(path) / _DATA, chunks=None) as found:
-        return found.load()
-
-
-def _read_json(file: Path) -> Any:
-    with file.open("rb") as opened:
-        content = opened.read(_LONGEST + 1)
-    if len(content) > _LONGEST:
-        raise ValueError
-    return json.loads(content)
-
-
-def _trusted(folder: Path) -> None:
-    """Refuse a store that could write elsewhere, run code or fill the memory.
-
-    Links could point out of the folder, codecs of zarr such as pickle run code when a chunk is read, and a few bytes of
-    metadata can promise any number of entries.
-    """
-    data = folder / _DATA
-    for path in (folder, *folder.rglob("*")):
-        if path.is_symlink():
-            raise InputError(f"{shown(folder)} must be a campaign's folder without links, got {shown(path)}")
-    arrays: dict[str, Any] = {}
+    folder, name = Path(path), "scheme"
+    _layout.files(folder)
+    _layout.sizes(folder, whole=True)
     try:
-        arrays |= {path.as_posix(): _read_json(path) for path in data.rglob(".zarray")}
-        # Readers prefer this file to those of the arrays.
-        together = _read_json(data / ".zmetadata")["metadata"]
-        arrays |= {name: about for name, about in together.items() if name.rpartition("/")[2] == ".zarray"}
-        other = [path.name for path in data.rglob("zarr.json")]
-        wrong = other[0] if other else next((why for about in arrays.values() if (why := _fault(about))), "")
-        total = sum(_bytes(about, "shape") for about in arrays.values()) if not wrong else 0
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        why = getattr(error, "strerror", None) or "metadata that no campaign writes"
-        raise InputError(f"{shown(folder)} must hold a campaign's {_DATA}, got: {why}") from None
-    if wrong:
-        raise InputError(f"{shown(folder)} must hold arrays of numbers and names only, got {wrong}")
-    if total > 2 * _LARGEST:  # the metadata are there twice
-        raise InputError(f"{shown(folder)} must hold at most {_LARGEST} bytes, got {total // 2}")
-
-
-def _fault(about: dict[str, Any]) -> str:
-    """Return what the metadata of an array have that no campaign writes; "" if there is nothing."""
-    compressor, filters = about["compressor"], about["filters"]
-    if filters or (compressor is not None and compressor.get("id") != "blosc"):
-        return f"the codec {describe(filters or compressor)}"
-    if not (isinstance(about["dtype"], str) and _PLAIN.fullmatch(about["dtype"])):
-        return f"the type {describe(about['dtype'])}"
-    return f"a chunk of {_bytes(about, 'chunks')} bytes" if _bytes(about, "chunks") > _LARGEST else ""
-
-
-def _bytes(about: dict[str, Any], sizes: str) -> int:
-    kind, size = _PLAIN.fullmatch(about["dtype"]).groups()  # type: ignore[union-attr] # `_fault` has matched it
-    return prod(map(int, about[sizes])) * int(size) * (4 if kind == "U" else 1)
+        with xr.open_zarr(folder / DATA, chunks=None, consolidated=True, zarr_format=2) as found:
+            for name, variable in found.variables.items():  # noqa: B007 - the error names it
+                variable.load()
+                for label in variable.values if variable.dtype.kind in "UO" else ():
+                    str(label).encode()  # ValueError if it is no text
+            return found.load()
+    except (OSError, ValueError, RuntimeError, SystemError) as error:  # of zarr, its codecs, and numpy about characters
+        raise InputError(
+            f"{shown(folder)} must hold whole chunks, got {name}: {reason(error)}; {_layout.AGAIN}"
+        ) from error
 
 
 def _template(campaign: Campaign, provenance: dict[str, Any]) -> xr.Dataset:

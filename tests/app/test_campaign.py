@@ -173,6 +173,40 @@ def test_stopped(folder, capsys, monkeypatch, error, says):
     assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
 
 
+@pytest.mark.parametrize("name", ["done", "lock"])
+def test_a_folder_that_takes_nothing(folder, capsys, monkeypatch, name):
+    """Neither the folder of the markers nor the lock."""
+    assert main(["campaign", "c.toml", "--output", "a"]) == 0
+    said(capsys)
+
+    def fail(path, original, *arguments, **named):
+        if path.name == name:
+            raise PermissionError(13, "Permission denied")
+        return original(path, *arguments, **named)
+
+    for method in ("mkdir", "open"):
+        original = getattr(Path, method)
+        monkeypatch.setattr(Path, method, lambda path, *rest, to=original, **named: fail(path, to, *rest, **named))
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 2
+    assert said(capsys) == ("", "rhl: a must take the results, got: Permission denied\n")
+
+
+def test_a_folder_that_is_harmed(folder, capsys):
+    """Damaged results are computed again; what no campaign writes is refused before anything is computed."""
+    assert main(["campaign", "c.toml", "--output", "a"]) == 0
+    out, _ = said(capsys)
+    Path("a/results.zarr/peak/0.0").write_bytes(b"nonsense")
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 0
+    assert said(capsys)[0] == out
+    Path("a/results.zarr/.zgroup").unlink()
+    assert main(["campaign", "c.toml", "--output", "a", "--resume"]) == 2
+    assert said(capsys) == (
+        "",
+        "rhl: a must hold a campaign's results.zarr, got no .zgroup; copy the folder again, or start the campaign "
+        "again in another one\n",
+    )
+
+
 @pytest.mark.parametrize("package", ["zarr", "xarray", "dask"])
 def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
     original = builtins.__import__
@@ -210,7 +244,8 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
             "step is not a known key; expected one of name, seed, steps, noise, input_bound, chunk, p",
         ),
         ("chunk = 4", "chunk = 0", "chunk must be an integer from 1 to 1000000"),
-        ("chunk = 4", "noise = nan", "noise must be a number of at least 0"),
+        ("chunk = 4", "noise = nan", "noise must be a number from 0 to 1e100"),
+        ("chunk = 4", "noise = 1e308", "noise must be a number from 0 to 1e100"),
         ("chunk = 4", "input_bound = 0", "input_bound must be a positive number"),
         ('"random"', '"odd"', 'plants.kind must be "random", "random-continuous" or "benchmarks", got \'odd\''),
         ("count = 6", "", "plants.count must be an integer from 1 to 10000000"),
@@ -227,7 +262,14 @@ def test_a_package_that_is_missing(folder, capsys, monkeypatch, package):
             "radius = [1, 0.5]",
             "plants.radius must be two numbers, positive and in ascending order, got [1.0, 0.5]",
         ),
-        ("n = [2, 3]", "conditioning = 0.1", "plants.conditioning must be a number of at least 1, got 0.1"),
+        ("n = [2, 3]", "conditioning = 0.1", "plants.conditioning must be a number from 1 to 1e100, the larg"),
+        ("n = [2, 3]", "conditioning = 1e308", "plants.conditioning must be a number from 1 to 1e100"),
+        ("n = [2, 3]", "radius = [1e308, 1e308]", "plants.radius must be a list of two positive numbers of at most"),
+        ("n = [2, 3]", "output_decades = 1e308", "plants.output_decades must be a number from 0 to 100"),
+        ("n = [2, 3]", "input_decades = 1e308", "plants.input_decades must be a number from 0 to 100"),
+        ('"window"', '"window"\nwindow = 1e300', "schemes[2].window must be a positive number of at most 100000"),
+        ('"window"', '"window"\nwindow = 3e7', "schemes[2].window must be a positive number of at most 100000"),
+        ('"window"', f'"window"\nlabel = "{"x" * 201}"', "schemes[2].label must be a string of at most 200 characters"),
         (
             "n = [2, 3]",
             "sampling = 1",
@@ -323,11 +365,55 @@ def test_every_key_is_in_the_help(capsys):
     out = " ".join(said(capsys)[0].split())
     for name, what in keys():
         assert f"{name}: " in out
-        assert " ".join(what.split()) in out.replace("random- continuous", "random-continuous")
+        assert " ".join(what.split()) in out
     told = {name for name, _ in keys()}
     assert {f"schemes.{name}" for name in {**SchemeSection.keys()}} <= told
     assert {"plants.growth", "plants.radius", "plants.names", "noise"} <= told
     assert set(CampaignFile.keys()) - {"plants", "schemes"} <= told
+
+
+SAMPLED = {"kind": "random-continuous", "count": 2}
+BENCHMARKS = {"kind": "benchmarks", "names": ["ac1", "ac3"]}
+
+
+@pytest.mark.parametrize(
+    ("plants", "sentence"),
+    [
+        (SAMPLED | {"sampling": 1e300}, "plants.sampling must be a positive number of at most 1e9, the seconds"),
+        (SAMPLED | {"sampling": [1, 1000]}, "plants.sampling must be at most 230 / the highest growth, got 1000 and"),
+        (SAMPLED | {"growth": [0, 7000]}, "plants.sampling must be at most 230 / the highest growth, got 0.1 and"),
+        (SAMPLED | {"growth": [-1e308, 1]}, "plants.growth must be a list of two numbers from -1e6 to 1e6"),
+        (BENCHMARKS | {"sampling": 1e300}, "plants.sampling must be a positive number of at most 1e9, the seconds"),
+        (BENCHMARKS | {"sampling": 1e3}, "plants.sampling must be short enough for ac3 to stay finite from sample to"),
+    ],
+)
+def test_plants_that_leave_the_range_of_numbers(plants, sentence):
+    from rhl import InputError
+
+    settings = {"name": "a", "seed": 1, "schemes": [{"base": "default"}]}
+    with pytest.raises(InputError) as caught:
+        parse(settings | {"plants": plants}).campaign()
+    assert str(caught.value).startswith(sentence)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("plants", "changes"),
+    [
+        (
+            {"radius": [1e100, 1e100], "conditioning": 1e100, "output_decades": 100, "input_decades": 100},
+            {"noise": 1e100},
+        ),
+        ({"kind": "random-continuous", "growth": [230, 230], "sampling": 1, "conditioning": 10}, {}),
+        ({"kind": "random-continuous", "growth": [-1e6, -1e6], "sampling": 1e9}, {}),
+        ({}, {"schemes": [{"base": "window", "label": "x" * 200, "window": 1000}]}),
+    ],
+)
+def test_the_largest_numbers_run(plants, changes):
+    settings = {"name": "a", "seed": 1, "steps": 20, "plants": {"kind": "random", "count": 3, "n": 3} | plants}
+    campaign = parse(settings | {"schemes": [{"base": "default"}]} | changes).campaign()
+    for task in campaign.tasks():
+        assert len(next(iter(campaign.evaluate(task).values()))) == 3
 
 
 def test_lists_make_a_scheme_each():

@@ -45,6 +45,7 @@ def test_each_setting_arrives_and_nothing_else_changes(settings, check):
         ({"base": "window", "units": True}, 'units must be left out where base is "window", got True'),
         ({"base": "window", "inputs": 1.0}, 'inputs must be left out where base is "window", got 1.0'),
         ({"units": False, "inputs": 1.0}, "inputs must be left out where units is false, got 1"),
+        ({"base": "window", "window": 1e308}, r"window must be at most 100000, got 1e\+308"),
         ({"window": 2.0}, "window must be left out where every transition is kept, got 2"),
     ],
 )
