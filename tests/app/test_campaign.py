@@ -59,6 +59,12 @@ def digest_of(out):
     return re.search(r"^sha256 over all variables: ([0-9a-f]{64})$", out, flags=re.MULTILINE).group(1)
 
 
+def test_both_delays_of_the_model_can_be_swept(folder):
+    Path("c.toml").write_text(GOOD.replace("R = [1e-4, 1]", "model_delay = [0, 1]"), encoding="utf-8")
+    labels = [choice.label for choice in load("c.toml")[0].campaign().schemes]
+    assert labels == ["default, model_delay = 0", "default, model_delay = 1", "window"]
+
+
 def test_a_campaign(folder, capsys):
     assert main(["campaign", "c.toml", "--output", "a"]) == 0
     out, err = said(capsys)
