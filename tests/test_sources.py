@@ -221,8 +221,8 @@ def test_nothing_is_there_for_the_tests_alone():
     scripts = [path for folder in ("tools", "book", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
     used = set().union(*(names_in(path.read_text(encoding="utf-8")) for path in scripts))
     examples = set().union(*map(names_in_examples, SOURCES.values()))
-    # IPython calls `_repr_html_`.
-    assert unused(SOURCES, used | on_pages() | examples | {"_repr_html_"}) == []
+    # IPython calls `_repr_html_`, and argparse `print_help`.
+    assert unused(SOURCES, used | on_pages() | examples | {"_repr_html_", "print_help"}) == []
 
 
 def test_dead_code_is_noticed():

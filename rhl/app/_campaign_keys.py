@@ -42,7 +42,7 @@ _NOISE: Kind = {**NOT_NEGATIVE, "maximum": 1e100}
 _WINDOW: Kind = {**POSITIVE, "maximum": 100_000}
 # With a growth of this many powers of e from sample to sample, entries reach about 1e100.
 _GROWTH = 230
-_LABEL: Kind = {**LINE, "pattern": LINE["pattern"].replace("]*$", "]{0,200}$")}
+_LABEL: Kind = {**LINE, "maxLength": 200}
 
 
 def _swept(what: str, kind: Any, default: Any = None) -> Any:
@@ -149,7 +149,7 @@ class SchemeSection(Section):
 
     base = key('"default" or "window": rhl.default_scheme or rhl.window_scheme')
     label = key(
-        "{} of at most 200 characters, its name in the results; if left out, base and the given settings",
+        "{}, its name in the results; if left out, base and the given settings",
         _LABEL,
         default=None,
     )
