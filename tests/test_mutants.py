@@ -139,7 +139,7 @@ def test_a_noticed_mutant_is_told_from_one_that_survives(project):
 def test_a_mutant_that_never_ends_is_stopped(project):
     tree, source = project
     endless = Mutant("rhl/small.py", "", 1, "", "", f"while True:\n    pass\n{source}")
-    assert mutants.judged(tree, endless, mutants._run_tests, ["tests/test_small.py"], 6)["verdict"] == "too long"
+    assert mutants.judged(tree, endless, mutants._run_tests, ["tests/test_small.py"], 3)["verdict"] == "too long"
 
 
 def test_the_table_counts():

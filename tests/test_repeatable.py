@@ -60,6 +60,7 @@ def small(root):
 PAGES = ("notebooks/02-figure", "notebooks/03-random", "book/executed")
 
 
+@pytest.mark.nightly
 def test_two_builds_agree_but_for_what_is_random(tmp_path):
     sites = []
     for folder, own in (("one", {"PYTHONHASHSEED": "1", "TZ": "UTC"}), ("another/place", {"PYTHONHASHSEED": "2"})):

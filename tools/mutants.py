@@ -338,12 +338,12 @@ def main() -> int:
         pairs = [("", each) for each in sample(tree, options.size, options.seed) if each.file.startswith(options.room)]
     if options.what == "verify":  # what the claims are about, not the claims
         pairs = [(name, mutant) for name, mutant in pairs if not mutant.file.startswith(NO_CLAIM)]
+    if not pairs:
+        parser.error(f"--room must be a file or folder of rhl/ with members of the sample, got {options.room!r}")
     if options.what == "tests":
         tests = covered(tree, options.output / f"covered-{of}") | by_notebook
     claims = claims_by_seconds(tree) if options.what == "verify" else []
 
-    if not pairs:
-        parser.error(f"--room must be a file or folder of rhl/ with members of the sample, got {options.room!r}")
     rows = kept(record)
     done = {
         row["id"]: row for row in rows if row.get("of") == of and not (options.again and row["verdict"] == "survived")
