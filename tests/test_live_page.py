@@ -487,6 +487,7 @@ def test_the_built_archive_is_of_this_commit(site):
     assert (HTML / "_static/live/library.zip").read_bytes() == live_page.library(ROOT)
 
 
+@pytest.mark.nightly
 def test_sentences_agree_in_the_browser(chromium, site, engine):
     with seen.visit(chromium, site, PAGE, "light") as (page, found):
         for name, (settings, call) in BAD.items():
