@@ -27,10 +27,10 @@ test: env ## lint, types, library, notebooks, README and the book
 	ruff check
 	ruff format --check
 	mypy
-	pytest -n 2 --dist worksteal
+	pytest -n 3 --dist worksteal
 
 test-all: env ## the same with large sizes: more random cases, every page in both themes, notebooks anew; for the night
-	RHL_NIGHTLY=1 pytest -n 2 --dist worksteal -m "nightly or not nightly"
+	RHL_NIGHTLY=1 pytest -n 3 --dist worksteal -m "nightly or not nightly"
 
 mutants: env ## change the library in 300 places and see which changes the tests, the claims and the notebooks notice
 	python -m tools.mutants tests --at-least 0.92
