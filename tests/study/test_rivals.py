@@ -128,3 +128,11 @@ def test_an_input_that_the_regulator_never_uses_has_the_bound_of_the_others():
 def test_refused(changes, sentence):
     with pytest.raises(InputError, match=sentence):
         pose(**{"plant": PLANT, "z0": Z0, "order": 2, "steps": 50} | changes)
+
+
+def test_it_excites_until_the_rank_has_stayed_for_two_rows():
+    """Order one: rows begin at k = 1, have rank two from the second on, and so suffice at k = 4."""
+    run = excite_identify_regulate(pose(LinearPlant([[0.5]], [[1.0]], [[1.0]]), [1.0], order=1, steps=6))
+    gains = run.v[:, 0] / run.y[:, 0]
+    assert np.isclose(gains[4], gains[5], rtol=1e-6)
+    assert not np.isclose(gains[3], gains[4], rtol=1e-2)
