@@ -1,8 +1,8 @@
 """The built book in Debian's Chromium: what each check has against a page, as sentences.
 
 A page is loaded once for each theme and then seen at three widths. axe-core looks at everything in the light theme; in
-the dark one, where colours are all that differs, at contrast. `one_look` is what a page needs whose template has been
-judged on another page.
+the dark one, where colours are all that differs, at contrast, at the widest and the narrowest. `one_look` is what a
+page needs whose template has been judged on another page: itself, and whether it fits the narrowest width.
 """
 
 import functools
@@ -196,17 +196,17 @@ def content_faults(page: Page) -> list[str]:
     return found + [f"TeX as text: {tex}" for tex in page.evaluate(RAW_TEX)]
 
 
-def resized(page: Page) -> Iterator[int]:
+def resized(page: Page, widths: tuple[int, ...] = WIDTHS) -> Iterator[int]:
     """Give the page one width after the other."""
-    for width in WIDTHS:
+    for width in widths:
         page.set_viewport_size({"width": width, "height": 900})
         page.evaluate(TWO_FRAMES)
         yield width
 
 
-def too_wide(page: Page) -> list[str]:
+def too_wide(page: Page, widths: tuple[int, ...] = WIDTHS) -> list[str]:
     """At which widths the page itself scrolls sideways."""
-    beyond = {width: page.evaluate(OVERFLOW) for width in resized(page)}
+    beyond = {width: page.evaluate(OVERFLOW) for width in resized(page, widths)}
     return [f"at {width} px the page is {pixels} px too wide" for width, pixels in beyond.items() if pixels > 0]
 
 
@@ -215,7 +215,7 @@ def violations(page: Page, theme: str) -> list[str]:
     found = []
     page.evaluate(AXE)
     page.evaluate(SHRINK)
-    for width in resized(page):
+    for width in resized(page, WIDTHS if theme == THEMES[0] else (WIDTHS[0], WIDTHS[-1])):
         if theme == THEMES[0]:
             found += [f"at {width} px {violation}" for violation in page.evaluate(VIOLATIONS, ALL_ELSE)]
         page.evaluate(ALIKE)
@@ -228,7 +228,7 @@ def one_look(browser: Browser, site: str, name: str, folder: Path) -> list[str]:
     with visit(browser, site, name, THEMES[0]) as (page, found):
         heavy = weight(page, site, folder)
         found += [f"weighs {heavy} bytes compressed"] if heavy > BUDGET else []
-        return found + content_faults(page) + too_wide(page)
+        return found + content_faults(page) + too_wide(page, WIDTHS[-1:])
 
 
 def faults(browser: Browser, site: str, name: str, theme: str, folder: Path) -> list[str]:

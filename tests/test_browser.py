@@ -126,7 +126,7 @@ def test_faults_of_the_layout_are_found(chromium, faulty):
     with seen.visit(chromium, faulty, "bad.html", "dark") as (page, _):
         dark = seen.violations(page, "dark")
     assert {fault for fault in dark if "contrast" in fault} == {
-        f"at {width} px, dark: color-contrast: #dim-on-dark" for width in seen.WIDTHS
+        f"at {width} px, dark: color-contrast: #dim-on-dark" for width in (1440, 360)
     }
 
 
