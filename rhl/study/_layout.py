@@ -33,6 +33,8 @@ _CODECS = {"blosclz", "lz4", "lz4hc", "snappy", "zlib", "zstd"}
 # The header of a chunk that blosc has packed: bytes 4 to 8 hold its size unpacked, bytes 12 to 16 its size packed,
 # which is larger by the header at most.
 _HEADER = 16
+# The end of the name of a file that zarr had not finished when its process was killed; no reader opens it.
+_UNFINISHED = ".partial"
 
 
 class _Wrong(Exception):
@@ -310,7 +312,9 @@ def _chunks(folder: Path, array: Mapping[str, Any]) -> None:
     size = prod(array["chunks"]) * _item(array)
     with os.scandir(folder) as found:
         for entry in found:
-            if not entry.name.startswith(".") and (fault := chunk_fault(Path(entry.path), size)):
+            if entry.name.startswith(".") or entry.name.endswith(_UNFINISHED):
+                continue
+            if fault := chunk_fault(Path(entry.path), size):
                 remedy = _ANEW if folder.name in _COORDINATES else AGAIN
                 raise _Wrong(f"{describe(f'{folder.name}/{entry.name}')} {fault}", remedy)
 

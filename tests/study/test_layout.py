@@ -80,6 +80,17 @@ def test_what_no_one_harmed_is_accepted(kept, folder):
     assert resumed(folder) == kept.digest()
 
 
+def test_what_a_killed_process_was_writing_is_left_alone(kept, folder):
+    """zarr writes a chunk under another name first; a chunk of that content under its own name is refused."""
+    for name, at in (("n", "0"), ("peak", "0")):
+        (folder / "results.zarr" / name / f"{at}.{16 * '0a'}.partial").touch()
+    assert load(folder).equals(kept.dataset())
+    assert resumed(folder) == kept.digest()
+    chunk(folder, "n").write_bytes(b"")
+    with pytest.raises(InputError, match=r"got 'n/0' of 0 bytes"):
+        load(folder)
+
+
 @pytest.mark.parametrize("chunks", [1, 2, 7])
 def test_a_campaign_with_names_is_accepted(tmp_path, chunks):
     campaign = Campaign(NAMED.plants, NAMED.schemes, steps=20, chunk=chunks)
