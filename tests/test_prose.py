@@ -11,10 +11,8 @@ from pathlib import Path
 import pytest
 
 import rhl
-from tools import fresh
 
 ROOT = Path(__file__).resolve().parent.parent
-HTML = ROOT / fresh.BUILT / "html"
 
 
 def pages():

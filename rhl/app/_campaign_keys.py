@@ -26,7 +26,7 @@ from rhl.app._keys import (
 )
 from rhl.errors import InputError
 from rhl.study.campaign import Campaign
-from rhl.study.choices import Choice
+from rhl.study.choices import LONGEST, Choice
 from rhl.study.ensembles import BenchmarkPlants, Ensemble, RandomPlants
 
 _SIZES = list_of(SIZE)
@@ -39,7 +39,7 @@ _SECONDS: Kind = {**POSITIVE, "maximum": 1e9}
 _CONDITION = _NUMBER | {"minimum": 1, "maximum": 1e100}
 _DECADES: Kind = {**NOT_NEGATIVE, "maximum": 100}
 _NOISE: Kind = {**NOT_NEGATIVE, "maximum": 1e100}
-_WINDOW: Kind = {**POSITIVE, "maximum": 100_000}
+_WINDOW: Kind = {**POSITIVE, "maximum": LONGEST}
 # With a growth of this many powers of e from sample to sample, entries reach about 1e100.
 _GROWTH = 230
 _LABEL: Kind = {**LINE, "maxLength": 200}
@@ -170,7 +170,7 @@ class SchemeSection(Section):
         default=None,
     )
     window = _swept(
-        "a positive number of at most 100000, the number of transitions in a window in multiples of the scheme's order",
+        f"a positive number of at most {LONGEST}, the transitions in a window in multiples of the scheme's order",
         _WINDOW,
     )
     units = key("{}: that the default scheme's weights count signals in running units", FLAG, default=None)

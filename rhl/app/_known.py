@@ -85,10 +85,10 @@ def known(
     asks = []
     if scheme.units is not None and not np.any(scheme.units.noise) and not _constant(sensor):
         asks.append("set noise to the standard deviation of the sensor errors")
-    if not tracks and any(isinstance(part, Offset) for part in _parts(sensor) + _parts(load)):
+    if not tracks and any(isinstance(part, Offset) for part in in_series(sensor) + in_series(load)):
         asks.append("give set_point, with which constant disturbances leave no error")
     # Increments and distances from a set point do not see a constant.
-    disturbed = tuple(name for name, part in acting if _parts(part) and not (tracks and _constant(part)))
+    disturbed = tuple(name for name, part in acting if in_series(part) and not (tracks and _constant(part)))
     found = Known(told=True, linear=given, disturbed=disturbed, asks=tuple(asks))
     try:
         linear = linearise(plant)
@@ -190,7 +190,7 @@ def bounds_of(scheme: Scheme, actuator: Disturbances | None) -> Saturation | Non
     """Return the bounds that plans keep, or else those of the actuator."""
     if scheme.controller.bounds is not None:
         return scheme.controller.bounds
-    return next((part for part in _parts(actuator) if isinstance(part, Saturation)), None)
+    return next((part for part in in_series(actuator) if isinstance(part, Saturation)), None)
 
 
 def holding(
@@ -222,7 +222,7 @@ def holding(
 
 def constant_load(load: Disturbances | None, q: int) -> Array:
     """Return what constants add to the inputs, shape (q,); other loads are not counted."""
-    constants = [Offset(part.value)(0, np.zeros(q)) for part in _parts(load) if isinstance(part, Offset)]
+    constants = [Offset(part.value)(0, np.zeros(q)) for part in in_series(load) if isinstance(part, Offset)]
     return np.sum([np.zeros(q), *constants], axis=0)
 
 
@@ -266,7 +266,8 @@ def unheld(held: Holding | None) -> str:
     )
 
 
-def _parts(disturbance: Disturbances | None) -> tuple[Disturbance, ...]:
+def in_series(disturbance: Disturbances | None) -> tuple[Disturbance, ...]:
+    """Return the disturbances that act in series."""
     if disturbance is None:
         return ()
     return disturbance if isinstance(disturbance, tuple) else (disturbance,)
@@ -274,4 +275,4 @@ def _parts(disturbance: Disturbances | None) -> tuple[Disturbance, ...]:
 
 def _constant(disturbance: Disturbances | None) -> bool:
     """Whether nothing but constants acts, from the beginning on."""
-    return all(isinstance(part, Offset) and part.start == 0 for part in _parts(disturbance))
+    return all(isinstance(part, Offset) and part.start == 0 for part in in_series(disturbance))

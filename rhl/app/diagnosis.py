@@ -18,6 +18,7 @@ from rhl.app._known import (
     bounds_of,
     constant_load,
     holding,
+    in_series,
     index_needed,
     known,
     lengthen,
@@ -369,8 +370,8 @@ def _of_disturbances(
 ) -> Iterator[Finding]:
     untold = scheme.units is not None and not np.any(scheme.units.noise)
     for name, part in (("Sensor", sensor), ("Actuator", actuator), ("Load", load)):
-        if part is not None and part != ():
-            what = " and ".join(map(_named, part if isinstance(part, tuple) else (part,)))
+        if in_series(part):
+            what = " and ".join(map(_named, in_series(part)))
             says = f"{what} acts between scheme and plant; the theory has none"
             if untold and part is not actuator:
                 says += "; the scheme expects no errors: set noise to their standard deviation"

@@ -18,7 +18,7 @@ from rhl.units import RunningUnits
 
 Base = Literal["default", "window"]
 # The longest window, in multiples of the scheme's order: the steps of the longest run.
-_LONGEST = 100_000
+LONGEST = 100_000
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,8 @@ class Choice:
         for name in ("inputs", "R", "eps_rate", "weight", "window"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
-        if self.window is not None and self.window > _LONGEST:
-            raise InputError(f"window must be at most {_LONGEST}, got {self.window:g}")
+        if self.window is not None and self.window > LONGEST:
+            raise InputError(f"window must be at most {LONGEST}, got {self.window:g}")
         if self.base == "window":
             for name in ("inputs", "units"):
                 if getattr(self, name) is not None:
